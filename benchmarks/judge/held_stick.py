@@ -115,7 +115,7 @@ class HeldStreet(ClosingContextBase):
         self.actions = action_set(self.config.env.actions)
         spec = replace(make_policy_seat_spec(self.policy, "held"), truth=True)
         self.world = World(town, self.config, (spec,), seed, find_user=lambda _name: self.hand)
-        self._agent = PolicyAgentAdapter(self.policy)
+        self._agent = PolicyAgentAdapter(self.policy, self.actions)
         self.driver: AgentSeatDriver
 
     @property

@@ -94,7 +94,7 @@ def test_checkers_find_nothing_in_the_compact_form(corner, checker):
 
 def test_checkers_find_nothing_in_table_3_but_that_floats_are_no_stored_images(corner):
     form = 'env.observation="table3"'
-    assert warnings_of(corner, check_env, form) == []
+    assert warnings_of(corner, check_env, form) == warnings_of(corner, check_env, form, "env.window=3") == []
     told = warnings_of(corner, sb3_check_env, form)
     expected = [text.format(name) for name in ("depth", "segmentation") for text in NOT_AN_IMAGE]
     assert len(told) == len(expected)

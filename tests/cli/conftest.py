@@ -1,11 +1,13 @@
 """The command line in this process, in an empty folder."""
 
+import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -91,3 +93,8 @@ def finished(child: subprocess.Popen[str], within_s: float = 280.0, code: int = 
 def files_in(folder: Path) -> set[str]:
     """Everything below a folder, hidden files among it."""
     return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+
+
+def parsed(path: Path | str) -> Any:
+    """What a JSON file says."""
+    return json.loads(Path(path).read_text(encoding="utf-8"))

@@ -1,7 +1,6 @@
 """Scenarios of strangers with one thing wrong: which command says so, of which file, and what cures it."""
 
 import gzip
-import json
 import re
 import shutil
 from collections.abc import Callable
@@ -9,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Result, files_in
+from tests.cli.conftest import Result, files_in, parsed
 from tests.cli.test_bad_input import refused
 from tests.towns.made import hostile
 from tests.towns.made.nets import PAVED
@@ -62,7 +61,7 @@ def test_a_net_without_crossings(wcsim, folder, theirs):
     checked = wcsim("town", "check", theirs, "--json", "check.json")
     assert checked.code == 1
     assert "pedestrians cannot cross a street; add crossings and walking areas: wcsim town pave /" in one_line(checked)
-    assert json.loads(Path("check.json").read_text())["crossings"] == 0
+    assert parsed("check.json")["crossings"] == 0
     assert wcsim("town", "run", theirs, *RUN).code == 0
 
 

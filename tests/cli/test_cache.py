@@ -1,12 +1,12 @@
 """`wcsim cache`: what is kept is counted, and only that is removed."""
 
-import json
 import os
 import time
 from pathlib import Path
 
 import pytest
 
+from tests.cli.conftest import parsed
 from wcsim.agents.runs.transfer import KEY_FILE
 from wcsim.core.files import KERNELS
 from wcsim.towns.cache.folder import WRITTEN_S
@@ -53,7 +53,7 @@ def test_the_cache_says_where_it_is_and_what_it_holds(wcsim, cache):
     assert f"{cache}: 1 street, 1 checked net or scenario, 1 kernel, 2 generated places to drive" in result.out
     assert "1 unfinished, 3.0 MB" in result.out
     assert "wcsim cache --clear" in result.out
-    assert json.loads(Path("c.json").read_text()) == {
+    assert parsed("c.json") == {
         **{"folder": str(cache), "streets": 1, "verdicts": 1, "kernels": 1, "driven": 2, "unfinished": 1},
         **{"size_bytes": 3_000_028, "left_bytes": 3_000_028},
     }
@@ -68,7 +68,7 @@ def test_clearing_removes_what_is_ours_and_nothing_else(wcsim, cache, tmp_path):
     driven = {f"{place}{file}" for place in DRIVEN for file in ("", "/sumo", "/sumo/net.xml")}
     assert gone == {f"street-{KEY}.npz", f"net-{KEY}.ok", OLD, f"{OLD}/part", *code, *driven}
     assert (tmp_path / "elsewhere").read_text() == "irreplaceable"
-    assert json.loads(Path("c.json").read_text())["left_bytes"] == 0
+    assert parsed("c.json")["left_bytes"] == 0
     assert "removed 0.0 MB" in wcsim("cache", "--clear").out
 
 

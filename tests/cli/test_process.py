@@ -1,11 +1,10 @@
 """The command as a process of its own: what lands on the terminal, pipes that close, and Ctrl-C."""
 
-import json
 import signal
 
 import pytest
 
-from tests.cli.conftest import finished, start
+from tests.cli.conftest import finished, parsed, start
 from wcsim.cli.shared.exit_codes import ExitCode
 
 
@@ -40,7 +39,7 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
     _, err = finished(child, 200, ExitCode.STOPPED)
     assert "Traceback" not in err
     assert "wcsim resume run" in err
-    manifest = json.loads((folder / "run" / "manifest.json").read_text())
+    manifest = parsed(folder / "run" / "manifest.json")
     assert manifest["status"] == "interrupted"
     assert 0 < manifest["steps"] < total
     assert (folder / "run" / "policies" / "final" / "policy.json").is_file()
@@ -49,7 +48,7 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
     result = wcsim("resume", "run")
     assert result.code == 0, result
     assert "\nrun folder: run" in result.out
-    assert json.loads((folder / "run" / "manifest.json").read_text())["status"] == "done"
+    assert parsed(folder / "run" / "manifest.json")["status"] == "done"
     config = (folder / "run" / "config.json").read_text()
     (folder / "run" / "config.json").write_text(config.replace('"gamma": 0.9', '"gamma": 0.8'))
     result = wcsim("resume", "run")
@@ -57,4 +56,4 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
     (folder / "run" / "config.json").write_text(config)
     result = wcsim("resume", "run", "--steps", total + 20)
     assert result.code == 0, result
-    assert json.loads((folder / "run" / "manifest.json").read_text())["steps"] >= total + 20
+    assert parsed(folder / "run" / "manifest.json")["steps"] >= total + 20

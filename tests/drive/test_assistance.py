@@ -47,7 +47,7 @@ def test_an_action_that_is_none_is_a_failure() -> None:
     assistance = Assistance(Remembers(), ACTIONS)
     assistance._agent.policy.choose = lambda _: 81
     assert assistance.answer(AHEAD, {}, asked=True).sent == ACTIONS.nearest((0.0, 0.0))
-    assert "expected 0 to 80" in assistance.failed
+    assert "expected an integer from 0 to 80" in assistance.failed
 
 
 def test_levels_are_those_of_the_policy() -> None:

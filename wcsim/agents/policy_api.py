@@ -15,6 +15,7 @@ from wcsim.config import RunConfig
 from wcsim.core.plugins import wrap_user_code_errors
 from wcsim.core.reading import escape
 from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import ActionSet
 from wcsim.types import Bool, Drawn, Truth
 
 Observation = Mapping[str, npt.NDArray[Any]]
@@ -51,6 +52,7 @@ MODEL_FILE: Final = "policy.onnx"
 
 HIGHEST_LEVEL: Final = 2.0
 USUAL_LEVEL: Final = 1.0
+_HELPED: Final = 0.5  # of its choice, where a policy without levels helps
 
 
 class NotFinite(PolicyError):
@@ -179,14 +181,18 @@ class Levelled(Protocol):
 class Helping:
     """Raises a policy's level of assistance after a request for help, for a while.
 
+    A policy without levels decides in every tick anyway. Its choice is halved then, so that the
+    chair is slower and there is more time.
+
     Args:
         policy: The policy that assists.
         ticks: How long, from the newest request on; with 0 nothing happens.
+        actions: The joystick positions.
     """
 
-    def __init__(self, policy: Policy, ticks: int) -> None:
+    def __init__(self, policy: Policy, ticks: int, actions: ActionSet) -> None:
         self.left = 0  # ticks, while help is on
-        self._policy, self._ticks = policy, ticks
+        self._policy, self._ticks, self._actions = policy, ticks, actions
         self._level: float | None = None  # to go back to
 
     def request(self) -> None:
@@ -195,6 +201,13 @@ class Helping:
         if self.left and self._level is None and isinstance(policy, Levelled):
             self._level = policy.level
             policy.set_level(policy.levels[1])
+
+    def choice(self, action: object) -> int:
+        """What is done of a policy's choice. Raises BadActionError as `ActionSet.index`."""
+        index = self._actions.index(action)
+        if not self.left or isinstance(self._policy, Levelled):
+            return index
+        return self._actions.nearest(_HELPED * self._actions.points[index])
 
     def tick(self) -> None:
         """A tick is over."""

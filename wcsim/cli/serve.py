@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import socket
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -36,7 +36,8 @@ from wcsim.server.protocol.limits import ensure_open_file_limit
 from wcsim.server.specs import WorldProcessSpec, make_world_launch_plan
 from wcsim.server.transport.keys import create_missing_keys, is_loopback, list_known_clients
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scenario.town import Town, find_town
+from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.scenario.town import Town
 from wcsim.types.bounds import MOST_SEATS
 from wcsim.users.profiles import filter_user_file_names
 from wcsim.view.live_table import LiveTable
@@ -51,7 +52,8 @@ class _Options(SettingsOptions):
     """Run a shared world until Ctrl-C; clients join it with `wcsim join`, on this machine or on others."""  # noqa: E501
 
     town: str = "helsinki"
-    """Where: a town's name, its folder, or a .sumocfg file."""
+    """Where: a town's name, its folder, or a .sumocfg file; made:SEED is generated. With --run several, separated by
+    commas, take turns after world.epoch_ticks."""  # noqa: E501
     seats: Annotated[int, Bounds(1, MOST_SEATS)] = 4
     """Number of wheelchairs, one for each client."""
     expected: int = 1
@@ -85,13 +87,20 @@ def run(words: list[str]) -> int:
     if options.run is not None:
         _prepare_folder(options.run)
     ensure_open_file_limit(options.seats)
-    town = find_town(options.town)
-    validate_net(town.net)
+    towns = [asked_town(word) for word in split_nonempty_list("--town", options.town)]
+    if len(towns) > 1 and (options.run is None or not config.epoch_ticks):
+        raise ConfigError(
+            f"--town {options.town}: the world never changes town; expected --run FOLDER, and "
+            "world.epoch_ticks above 0"
+        )
+    for town in towns:
+        validate_net(town.net)
     with create_runtime_folder() as place:
-        return _serve(options, town, config, place)
+        return _serve(options, towns, config, place)
 
 
-def _serve(options: _Options, town: Town, config: RunConfig, place: Path) -> int:
+def _serve(options: _Options, towns: list[Town], config: RunConfig, place: Path) -> int:
+    town, *more = towns
     folder = place if options.run is None else options.run
     overrides = list_sumo_overrides(town, config, options.seed)
     running = False
@@ -111,6 +120,7 @@ def _serve(options: _Options, town: Town, config: RunConfig, place: Path) -> int
             table.show(state)
 
         order = _order(options, town, config, place)
+        order = replace(order, more_towns=tuple(other.address for other in more))
         world = make_world_launch_plan(order, place, folder / "logs" / "world.log")
         outcome = ProcessLauncher(world, (), folder, show=show).run()
     if outcome.code == ExitCode.REFUSED:

@@ -87,11 +87,11 @@ class EnvConfig(Model):
     truth_visible: bool = False  # The same, limited to road users that the cameras showed recently.
 
     @model_validator(mode="after")
-    def _window_is_compact(self) -> EnvConfig:
-        if self.observation in ("table3", "state") and self.frames > 1:
+    def _state_has_no_images(self) -> EnvConfig:
+        if self.observation == "state" and self.frames > 1:
             raise ValueError(
-                f"window {self.window} with observation {self.observation!r}; expected one image "
-                "in this form: set env.window=1, or env.observation=compact"
+                f"window {self.window} with observation 'state', which has no images; expected "
+                "env.window=1, or env.observation=compact"
             )
         if self.observation == "state" and self.truth_visible:
             raise ValueError(

@@ -102,6 +102,8 @@ class LearnConfig(Model):
     # Selects the client for the second phase: kpi1, a client's name, a suite or list. Empty: all
     # continue.
     select_by: Annotated[Word, exclude_if("")] = ""
+    # Time of a decision on one core above which a client is not selected, unless all are slower.
+    select_ms: Annotated[Positive, exclude_if(100.0)] = 100.0
     network: Word = "patch"  # Network by name (wcsim networks), or module:Class.
 
     # Of three departures from the paper, the known reward alone keeps up with the user

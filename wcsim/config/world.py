@@ -124,7 +124,7 @@ class WorldConfig(Model):
     epoch_ticks: Annotated[int | None, within(0, 10**9), exclude_if(None)] = None
     # Time for which a request for help raises the assistance. 0: never.
     help_s: Annotated[float, within(0.0, 600.0), exclude_if(HELP_S)] = HELP_S
-    # Whether requests of simulated users raise it too. Without it they are only counted.
+    # Whether requests of simulated users do so too. Without it they are only counted.
     help_users: Annotated[bool, exclude_if(False)] = False
     # Threads that draw camera images. 0: one per core.
     draw_threads: Annotated[int, within(0, 64)] = 0

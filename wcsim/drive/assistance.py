@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 from wcsim.agents.envs.seat_driver import PolicyAgentAdapter
 from wcsim.agents.policy_api import HearsSent, Levelled, Observation, Policy, TellsUnsafe, Warns
@@ -14,8 +14,6 @@ from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet
 from wcsim.supervisor.kpi import FOLLOWED
 from wcsim.types import Drawn
-
-_HELPED: Final = 0.5  # of its choice, where a policy without levels helps
 
 log = logging.getLogger("wcsim.drive")
 
@@ -34,8 +32,7 @@ class Answer:
 class Assistance:
     """A policy that may be off, or overruled; it sees every tick all the same, so that it knows the street.
 
-    A request for help raises it for a while, though it be off: to its highest level. A policy without levels decides in
-    every tick anyway; its choice is halved then, so that the chair is slower and there is more time.
+    A request for help raises it for a while, though it be off, see `Helping`.
 
     Args:
         policy: Drives; it is begun with its first episode.
@@ -45,7 +42,7 @@ class Assistance:
 
     def __init__(self, policy: Policy, actions: ActionSet, help_ticks: int = 0) -> None:
         self._on, self.failed = True, ""  # `failed` says why a policy that broke was switched off
-        self._agent, self._actions = PolicyAgentAdapter(policy, help_ticks), actions
+        self._agent, self._actions = PolicyAgentAdapter(policy, actions, help_ticks), actions
         self._drawn: Drawn | None = None  # for the episode of now
         self.own_level = self.level  # the one that the policy came with
 
@@ -142,9 +139,7 @@ class Assistance:
             return Answer(chosen=rest, sent=rest)
 
     def _answered(self, seen: Observation, info: dict[str, Any], own: int, asked: bool) -> Answer:
-        chosen = self._asked(seen, info)
-        if self.help_left and not isinstance(self._agent.policy, Levelled):
-            chosen = self._actions.nearest(_HELPED * self._actions.points[chosen])
+        chosen = self._agent.help.choice(self._agent.choose(seen, info))
         sent = chosen if self.on and asked else own
         if isinstance(self._agent.policy, HearsSent):
             self._agent.policy.sent(sent)
@@ -176,12 +171,6 @@ class Assistance:
         with suppress(Exception):  # what it does now is of no account
             self._agent.help.end()
         log.warning("policy %s failed, assistance is off: %s", self.name, self.failed)
-
-    def _asked(self, seen: Observation, info: dict[str, Any]) -> int:
-        index = self._agent.choose(seen, info)
-        if not 0 <= index < len(self._actions):
-            raise PolicyError(f"policy {self.name!r} chose action {index}; expected 0 to {len(self._actions) - 1}")
-        return index
 
     def _unsafe(self) -> tuple[int, ...]:
         policy = self._agent.policy

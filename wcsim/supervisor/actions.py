@@ -8,13 +8,15 @@ distance that still earns the reward for following.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from wcsim.errors import ConfigError
+from wcsim.core.reading import escape_repr
+from wcsim.errors import BadActionError, ConfigError
 from wcsim.types import F32, F64, I64
 
 NAMES: Final = ("square81", "disc69")
@@ -35,6 +37,24 @@ class ActionSet:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def index(self, action: object) -> int:
+        """The index of an action in the set: an integer, or an array of one; 1.0 is none.
+
+        Raises BadActionError when it is no integer, or not in the set.
+        """
+        is_one = isinstance(action, np.ndarray) and action.size == 1
+        try:
+            index = operator.index(action.item() if is_one else action)  # type: ignore
+        except TypeError:
+            index = -1
+        most = len(self) - 1
+        if not 0 <= index <= most:
+            raise BadActionError(
+                f"action {escape_repr(action)} is not in the action set; expected an integer "
+                f"from 0 to {most}"
+            )
+        return index
 
     def nearest(self, joystick_xy: Sequence[float] | F32 | F64) -> int:
         """The action nearest to a joystick position (2,); ties go to the lower index."""

@@ -11,7 +11,7 @@ from typing import Any, Final, Self
 import cv2
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Info
+from wcsim.agents.envs.episode_view import Info, trim_frame_window
 from wcsim.agents.envs.seat_driver import AgentSeatDriver, PolicyAgentAdapter
 from wcsim.agents.evaluation.suite.playback import PlayedStep
 from wcsim.agents.opening.named_policy import (
@@ -26,6 +26,7 @@ from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CameraConfig, RunConfig, WorldConfig, resolve
 from wcsim.core.frames import deg2rad
 from wcsim.errors import ConfigError
+from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import decode_depth
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F32, U8, CameraFrame, ClassId, Joystick, Route, SeatSpec, Snapshot
@@ -46,8 +47,9 @@ def seen_picture(seen: Observation, config: RunConfig) -> U8:
         classes = class_colours(seen[CLASS_KEY][-1])
         depth_m = decode_depth(seen[DEPTH_KEY][-1], range_m)
     else:
-        classes = np.rint(255.0 * np.moveaxis(seen["segmentation"], 0, -1)).astype(np.uint8)
-        depth_m = seen["depth"][-1] * np.float32(range_m)
+        newest = trim_frame_window(seen, 1)
+        classes = np.rint(255.0 * np.moveaxis(newest["segmentation"], 0, -1)).astype(np.uint8)
+        depth_m = newest["depth"][-1] * np.float32(range_m)
     return np.asarray(np.vstack([classes, depth_colours(depth_m, range_m)]), np.uint8)
 
 
@@ -142,7 +144,8 @@ class FilmedDrive:
         with ExitStack() as held:
             self.world = held.enter_context(World(town, config, (spec,), seed, find_user=find_user))
             if self._policy is not None:
-                self._driver = AgentSeatDriver(config, _OwnCode(self._policy), self.world.snapshot.clients[0])
+                agent = _OwnCode(self._policy, action_set(config.env.actions), config.world.users_help_ticks)
+                self._driver = AgentSeatDriver(config, agent, self.world.snapshot.clients[0])
             self._steps = rollout(self.world, {} if self._driver is None else {0: self._driver.choose})
             if video is not None:  # last: what failed before leaves no file
                 try:

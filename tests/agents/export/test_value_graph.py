@@ -12,6 +12,7 @@ import torch
 from torch import nn
 
 from tests.agents.export.test_danger_graph import ride
+from tests.agents.export.test_guarded_policy import EXAMPLE
 from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
 from wcsim.agents.envs.episode_view import FrameStacker
 from wcsim.agents.export import onnx_export
@@ -40,7 +41,9 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 
 def config_of(network: str, memory: str = "windows", camera: CameraConfig = CAMERA) -> RunConfig:
-    learn = LearnConfig(network=network, memory=memory, head="plain", replay_frames=200, learning_starts=40)
+    learn = LearnConfig(
+        network=network, memory=memory, head="plain", replay_frames=200, learning_starts=40, reward_scale=0.02
+    )  # half of the ticks lose enough for a warning
     config = RunConfig(cameras=(camera,), learn=learn)
     return resolve(config, default_settings_for_network(config))
 
@@ -73,28 +76,37 @@ def test_the_folder_has_what_the_network_says_and_means(made):
     assert facts.same_actions == facts.same_as_wcsim == 1.0
     meaning = json.loads((folder / MEANING).read_text())
     net = load_policy(policy).net
-    assert tuple(meaning["inputs"]) == ("depth", "seg", "imu", "joystick") and tuple(meaning["outputs"]) == ("values",)
+    assert tuple(meaning["inputs"]) == ("depth", "seg", "imu", "joystick")
+    assert tuple(meaning["outputs"]) == ("values", "warning") and meaning["tolerated_loss"] == pytest.approx(0.18)
     assert meaning["inputs"]["imu"].startswith("float32 (1, 5)") and meaning["facts"] == asdict(facts)
     assert meaning["reward_scale"] == net.spec.prior.reward_scale and meaning["discount"] == 0.97
-    assert bool(meaning["states"]) == (net.spec.network != "patch"), "what looks back has a state, of either kind"
+    looks_back = set(meaning["states"]) - {"state_alarm"}
+    assert bool(looks_back) == (net.spec.network != "patch"), "what looks back has a state, of either kind"
     with np.load(folder / "reference.npz") as kept:
         assert kept["depth"].shape == kept["seg"].shape == (40, 1, 16, 20), "one picture a tick"
         assert kept["values"].shape == (40, 81) and len(np.unique(kept["action"])) > 1
     assert {path.name for path in folder.iterdir()} == set(WRITTEN)
 
 
-def test_over_several_episodes_the_folder_chooses_what_the_policy_of_wcsim_chooses(made):
-    folder, _, policy = made
+def test_over_several_episodes_the_folder_chooses_and_warns_as_the_policy_of_wcsim_does(made):
+    folder, facts, policy = made
     own, other = load_policy(policy), open_named_policy(str(folder), RunConfig(cameras=(CAMERA,)), 0)
-    view, chosen = FrameStacker(own.file.window), []
+    driver = EXAMPLE["Driver"](folder, clock=lambda: 0.0)
+    view, chosen, warned = FrameStacker(own.file.window), [], []
     for each in (own, other):
         each.begin()
-    for episode in (RIDE[:11], RIDE[5:7], RIDE[7:25]):
+    for episode in (RIDE[:11], RIDE[5:7], RIDE):
         view.reset()
         own.reset()
         other.reset()
-        chosen += [(own.act(view.add(seen)), other.act(seen)) for seen in episode]
+        driver.reset()
+        for seen in episode:
+            driver.step({key: seen[key] for key in driver.meaning["inputs"]})
+            chosen.append((own.act(view.add(seen)), other.act(seen)))
+            warned.append((own.warning, other.warning, bool(driver.warning)))
     assert all(mine == its for mine, its in chosen) and len(set(chosen)) > 1
+    assert set(warned) == {(False,) * 3, (True,) * 3}
+    assert facts.warnings == sum(mine for mine, *_ in warned[-len(RIDE) :]), "what the export reports of the ride"
 
 
 def test_beside_a_policy_that_needs_a_window_it_sees_the_newest_picture_alone(made):

@@ -14,7 +14,7 @@ from wcsim.agents.learning.callbacks import EpisodeMetricsCallback, EventReportC
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
-from wcsim.agents.runs.metrics import read_metrics
+from wcsim.agents.runs.metrics import STEP_COLUMNS, MetricsFile, read_metrics
 from wcsim.config.run_file import FollowPrior, NetSpec
 
 GAMMA = 0.97
@@ -105,6 +105,14 @@ def test_without_double_q_values_promise_more_of_what_never_comes(tmp_path):
     }
     assert later[False] > 1.0  # of nothing
     assert later[False] > 2.0 * max(later[True], 0.0), later
+
+
+def test_kpi_1_goes_on_with_the_rows_of_a_run_that_was_stopped(tmp_path):
+    rows, steps = logs_in(tmp_path)
+    for number in range(30):
+        steps.add(dict.fromkeys(STEP_COLUMNS, number))
+    on = MetricsFile(steps.path, 25, STEP_COLUMNS)
+    assert EpisodeMetricsCallback(rows, on, 0.0).kpi1 == np.mean(range(6, 26))
 
 
 def test_the_column_is_that_of_the_greedy_value_at_the_start(tmp_path):

@@ -10,9 +10,10 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
+from wcsim.agents.opening.named_policy import describe_rule_differences
 from wcsim.agents.policies import onnx_policy
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_onnx_policy_file
-from wcsim.agents.policy_api import MODEL_FILE
+from wcsim.agents.policy_api import MODEL_FILE, Warns
 from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.errors import PolicyError
 
@@ -97,6 +98,15 @@ def test_what_does_not_fit_is_told(tmp_path: Path, made: dict, seen: dict, said:
     policy.reset()
     with pytest.raises(PolicyError, match=said):
         policy.act(seen)
+
+
+def test_a_folder_of_an_earlier_version_has_no_warning_and_a_test_reports_it(tmp_path: Path) -> None:
+    policy = OnnxPolicy(write_step(tmp_path, helper.make_node("Identity", ["joystick"], ["values"])), "old", 2)
+    assert policy.act(SEEN) == 1 and not isinstance(policy, Warns)
+    (tmp_path / "new").mkdir()
+    names = (str(tmp_path), f"veto:{tmp_path}", str(write_model(tmp_path / "new")))
+    (line,) = (line for line in describe_rule_differences(names, "quick", ()) if "never" in line)
+    assert line.startswith(f"{tmp_path} never warns")
 
 
 def test_a_folder_is_read_or_refused(tmp_path: Path) -> None:

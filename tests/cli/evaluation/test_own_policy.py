@@ -1,6 +1,5 @@
 """A controller of one's own, module:Class, driven in a town beside the user alone."""
 
-import json
 import re
 import sys
 from pathlib import Path
@@ -10,7 +9,7 @@ import pytest
 import torch
 
 from tests.agents.evaluation.suite.lists import written_list
-from tests.cli.conftest import QUICK
+from tests.cli.conftest import QUICK, parsed
 from wcsim.config import resolve
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -70,9 +69,21 @@ def listed(corner, tmp_path_factory):
 def test_it_has_a_row_beside_the_user_alone(wcsim, folder, corner, own):
     words = ("--town", corner, "--only", "--allow-train-town", "--episodes", "1", "--max-steps", "20", *QUICK)
     assert wcsim("test", f"{own}:Still", *words, "--json", "rows.json").code == 0
-    rows = {row["policy"]: row for row in json.loads((folder / "rows.json").read_text())["rows"]}
+    rows = {row["policy"]: row for row in parsed(folder / "rows.json")["rows"]}
     assert set(rows) == {f"{own}:Still", "follow"}
     assert rows[f"{own}:Still"]["km"] < 0.1 * rows["follow"]["km"]
+
+
+def test_policies_that_are_tested_together_take_turns_in_the_chairs_of_one_street(wcsim, folder, corner, own):
+    words = (f"{own}:Still", "--together", "--town", corner, "--allow-train-town", "--max-steps", "20", *QUICK)
+    assert "two or more policies" in wcsim("test", *words).err
+    assert wcsim("test", "random", *words, "--episodes", "2", "--out", "x").code == 0
+    driven = parsed(folder / "x" / "episodes.json")
+    seats, (_, random_m, still_m) = (
+        [[each[key] for each in found] for found in driven.values()] for key in ("seat", "m")
+    )
+    assert seats == [[0, 1, 0, 1], [0, 1], [1, 0]], "of the user alone all; the others change places"
+    assert max(still_m) < 0.1 * min(random_m), "each seat is driven by whom its record is of"
 
 
 @pytest.mark.parametrize(
@@ -103,7 +114,7 @@ def test_in_a_suite_a_class_that_always_fails_is_told_with_its_reason(wcsim, fol
     result = wcsim("test", "--suite", listed, f"{own}:Boom", "--only", "--out", "out")
     assert result.code == 1 and "own_controller:Boom: failed in 2 of 2 episodes: KeyError: 'lidar' (" in result.out
     assert f"{own}.py, line " in result.out, "as other commands say where"
-    rows = {row["policy"]: row for row in json.loads((folder / "out" / "result.json").read_text())["pooled"]}
+    rows = {row["policy"]: row for row in parsed(folder / "out" / "result.json")["pooled"]}
     assert [rows[name]["status"]["policy_failed"] for name in ("follow", f"{own}:Boom")] == [0, 2]
 
 
@@ -113,9 +124,7 @@ def test_the_example_is_tested_in_a_town_and_creeps_before_what_is_near(wcsim, f
     monkeypatch.delitem(sys.modules, "own_policy", raising=False)
     words = ("--town", corner, "--only", "--allow-train-town", "--episodes", "1", "--max-steps", "10", *QUICK)
     assert wcsim("test", "own_policy:Careful", *words, "--json", "rows.json").code == 0
-    assert {row["policy"] for row in json.loads((folder / "rows.json").read_text())["rows"]} == {
-        *("follow", "own_policy:Careful")
-    }
+    assert {row["policy"] for row in parsed(folder / "rows.json")["rows"]} == {*("follow", "own_policy:Careful")}
 
     policy = sys.modules["own_policy"].Careful(resolve("quick"))
     seen = {"depth": np.zeros((1, 24, 32), np.uint8), "joystick": np.array([0.0, 1.0], np.float32)}
@@ -141,7 +150,7 @@ def test_a_controller_that_sees_numbers_drives_a_list_as_its_training_ended(wcsi
         result = wcsim("test", "--suite", listed, refused, "--only", "--set", "env.observation=state", "--out", refused)
         assert result.code == 2 and "Traceback" not in result.err and "pictures" in result.err, refused
     assert wcsim("test", "--suite", listed, "state_policy:Trained", "--only", "--out", "out").code == 0
-    rows = {row["policy"]: row for row in json.loads((folder / "out" / "result.json").read_text())["pooled"]}
+    rows = {row["policy"]: row for row in parsed(folder / "out" / "result.json")["pooled"]}
     assert rows["state_policy:Trained"]["status"]["policy_failed"] == 0
     assert rows["follow"]["kpi1"] < 0.1 < 0.4 < rows["state_policy:Trained"]["kpi1"]
     assert wcsim("report", "out", "--own", "state_policy:Trained").code == 0

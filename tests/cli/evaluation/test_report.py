@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from tests.agents.evaluation.suite.lists import written_list
+from tests.cli.conftest import parsed
 from tests.support.one_process import in_this_process
 from tests.view.report.results import score_anew, write_result
 from wcsim.cli.main import main
@@ -59,7 +60,7 @@ def test_the_page_of_a_test_shows_its_failures_in_pictures_and_their_command_run
     result = wcsim("report", "runs/out", "--pictures", "1")
     assert result.code == 0 and "report.html" in result.out
     text = (tested / "report.html").read_text(encoding="utf-8")
-    driven = json.loads((tested / "episodes.json").read_text("utf-8"))["follow"]
+    driven = parsed(tested / "episodes.json")["follow"]
     assert {record["status"] for record in driven} == {"timed_out"}
     assert text.count("network saw it, 0.0 s before") == 1 and text.count('class="street"') == 1
     command = "wcsim test follow --suite corner.json --play 0.0 --out runs/out"
@@ -69,7 +70,7 @@ def test_the_page_of_a_test_shows_its_failures_in_pictures_and_their_command_run
 
 def test_a_result_that_cannot_be_driven_as_it_was_has_a_page_without_those_pictures(wcsim, tested):
     path = tested / "episodes.json"
-    episodes = json.loads(path.read_text("utf-8"))
+    episodes = parsed(path)
     episodes["follow"][0]["m"] += 1.0
     path.write_text(json.dumps(episodes), encoding="utf-8")
     score_anew(tested)

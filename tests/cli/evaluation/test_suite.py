@@ -11,6 +11,7 @@ from rich.console import Console
 from tests.agents.evaluation.suite.lists import written_list
 from tests.agents.evaluation.suite.test_records import GOOD
 from tests.agents.opening.test_list_rules import run_of
+from tests.cli.conftest import parsed
 from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite.records import NEEDLESS, Intervention
 from wcsim.agents.evaluation.suite.result_files import result_of
@@ -34,12 +35,12 @@ def run(*words):
 def test_a_list_gives_rows_with_all_keys_and_says_what_was_changed(small, tmp_path, capsys):
     out = tmp_path / "out"
     assert run("--suite", small, "stop", "--only", "--out", out, "--clean") == 0
-    result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    result = parsed(out / "result.json")
     assert {"suite", "set", "list_sha256", "rows", "pooled"} <= result.keys()
     assert [row["policy"] for row in result["pooled"]] == ["follow", "stop"]
     assert all(row.keys() >= KEYS for row in result["rows"] + result["pooled"])
     assert result["changed"] and "CHANGED" in capsys.readouterr().out
-    assert set(json.loads((out / "episodes.json").read_text(encoding="utf-8"))) == {"follow", "stop"}
+    assert set(parsed(out / "episodes.json")) == {"follow", "stop"}
     assert run("--suite", small, "stop", "--only", "--out", out, "--clean") == 2  # something is there
     assert "--resume" in capsys.readouterr().err
     assert run("--suite", small, "stop", "--only", "--out", out, "--clean", "--resume") == 0
@@ -74,7 +75,7 @@ def test_an_episode_is_driven_again_and_must_be_the_same(small, tmp_path, capsys
     assert run(*words, "0.1") == 0
     assert "the same as the saved one" in capsys.readouterr().out
     assert (out / "play" / "follow-0.1.webm").stat().st_size > 0
-    episodes = json.loads((out / "episodes.json").read_text(encoding="utf-8"))
+    episodes = parsed(out / "episodes.json")
     episodes["follow"][1]["m"] += 0.5
     (out / "episodes.json").write_text(json.dumps(episodes), encoding="utf-8")
     assert run(*words, "0.1") == 2

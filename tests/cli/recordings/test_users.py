@@ -1,12 +1,12 @@
 """`wcsim users fit`: a profile is written that other commands take, and drives that cannot be fitted are refused."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.cli.conftest import parsed
 from tests.cli.test_bad_input import refused
 from tests.log.drives import write_drive
 from tests.support.samples import write_recording
@@ -28,7 +28,7 @@ def test_a_drive_is_fitted_and_its_profile_taken(wcsim, folder, drive):
     hint = result.out.rpartition("try it: ")[2].strip()
     assert hint == "wcsim test --profile 'my user.toml' --only --episodes 1 --max-steps 600", "a minute, not an hour"
     assert "only 4" in result.err and "tremor" in result.out
-    written = json.loads(Path("told.json").read_text())
+    written = parsed("told.json")
     assert written["estimates"]["reaction_s"]["value"] == pytest.approx(0.8, abs=0.05)
     assert written["estimates"]["reaction_s"]["told"] is True
     made = _read_profile(Path("my user.toml"))
@@ -44,7 +44,7 @@ def test_a_folder_of_stick_tables_is_a_person(wcsim, folder):
         write_recording(Path(name) / "drive.csv", 0.02 * np.arange(len(stick)), stick)
     result = wcsim("users", "fit", "ann", "bob", "eve/drive.csv", "--out", "us.toml", "--json", "told.json")
     assert result.code == 0, result
-    written, made = json.loads(Path("told.json").read_text()), _read_profile(Path("us.toml"))
+    written, made = parsed("told.json"), _read_profile(Path("us.toml"))
     assert (made.name, made.reaction_s) == ("us", 0.25) and made.lag_s == pytest.approx(0.12, rel=0.2)
     assert written["estimates"]["lag_s"]["n"] == 3 and "noise" not in written["habits"]["tremor"]
     assert all(who in result.out for who in ("fitted", "inattentive")) and "person eve/drive.csv" in written["habits"]

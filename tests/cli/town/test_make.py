@@ -1,12 +1,11 @@
 """`wcsim town make`: a town from a seed, made again by the command that its folder holds."""
 
-import json
 import shlex
 from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Run, files_in
+from tests.cli.conftest import Run, files_in, parsed
 from wcsim.towns.scenario.town import find_town
 
 SMALL = ("--size", "300", "--kind", "grid", "--hill", "5", "--parked", "1", "--traffic", "0.5")
@@ -20,7 +19,7 @@ def test_a_town_is_made_checked_found_by_name_and_made_again_by_its_own_command(
 ) -> None:
     made = wcsim("town", "make", "mine", "--seed", "9", *SMALL, "--split", "test", "--json", "made.json")
     assert made.code == 0, made.err
-    written = json.loads(Path("made.json").read_text())
+    written = parsed("made.json")
     assert written["faults"] == [] and written["crossings"] > 5
     assert "drawing the streets" in made.err
     place = folder / "scenarios" / "sumo" / "mine"

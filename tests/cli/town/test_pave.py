@@ -1,11 +1,10 @@
 """The cures that a check prints, typed as they stand."""
 
-import json
 import re
 import shlex
 from pathlib import Path
 
-from tests.cli.conftest import QUICK, Run
+from tests.cli.conftest import QUICK, Run, parsed
 from tests.support.typed import printed, typed
 from tests.towns.made.strangers import made
 from tests.towns.made.unpaved import BEGIN_S, write_unpaved
@@ -24,7 +23,7 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     assert paved.code == 0 and "note: the demand has no pedestrians" in paved.out, paved.err
     assert "24 streets got a pavement; " in paved.out and "10 signal programs" in paved.out
     later = printed(paved.out, "create walkers")
-    written = json.loads(Path("paved.json").read_text())
+    written = parsed("paved.json")
     assert written["walkable_largest_share"] > 0.95 and written["paved"]["streets"] == 24
     ours = find_town(written["paved"]["sumocfg"])
     (note,) = [note for note in written["notes"] if "no pedestrians" in note]
@@ -48,7 +47,7 @@ def test_a_scenario_with_pavements_alone_is_told_what_it_has_and_what_was_added(
     assert "has pavements beside 24 streets, but no walking areas to join them, so pedestrians" in checked.out
     assert "; add crossings and walking areas: wcsim town pave /" in checked.out
     paved = wcsim("town", "pave", theirs.sumocfg, "--out", "ours", "--json", "paved.json")
-    written = json.loads(Path("paved.json").read_text())
+    written = parsed("paved.json")
     added = f"added {written['crossings']} crossings and {written['walkingareas']} walking areas"
     assert f"24 streets already had one; {added}" in paved.out and "got a pavement" not in paved.out
     assert written["crossings"] > 0 and written["walkingareas"] > 0 and written["paved"]["had"] == 24

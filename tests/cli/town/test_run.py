@@ -1,8 +1,7 @@
-import json
-
 import pytest
 
 from tests.bridge.sumo.test_actor_kinds import ADDITIONAL, EVENTS, TYPES
+from tests.cli.conftest import parsed
 from tests.support.menagerie import HITTING, build_street
 from tests.towns.made import hostile
 from wcsim.bridge.town_run import CrashFact
@@ -19,14 +18,14 @@ def test_a_town_runs_and_is_replayed(corner, tmp_path, capsys):
     assert main([*words, "--outputs", "fcd,tripinfo", "--verbose", *QUICK]) == 0
     shown = capsys.readouterr()
     assert "vehicles" in shown.out and "what this run overrides" in shown.out
-    manifest = json.loads((out / "manifest.json").read_text())
+    manifest = parsed(out / "manifest.json")
     assert manifest["status"] == "done" and manifest["seed"] == 3
     assert manifest["command"][:3] == ["wcsim", "town", "run"]
     rows = {row["option"]: row for row in manifest["overrides"]}
     assert rows["seed"]["wcsim"] == str(manifest["sumo_seed"])
     assert set(manifest["outputs"]) == {"sumo/fcd.xml", "sumo/tripinfo.xml"}
     assert all((out / name).is_file() for name in (*manifest["outputs"], "trace"))
-    result = json.loads(written.read_text())
+    result = parsed(written)
     assert result["ticks"] == 30 and result["episodes"] >= 1
     assert main(["log", "convert", str(out), str(tmp_path / "replay.xml")]) == 0
     assert 'id="wheelchair.0"' in (tmp_path / "replay.xml").read_text()
@@ -38,7 +37,7 @@ def test_a_town_runs_and_is_replayed(corner, tmp_path, capsys):
 def test_traffic_alone_begins_where_the_scenario_begins(corner, tmp_path, capsys):
     out = tmp_path / "run"
     assert main(["town", "run", str(corner), "--seconds", "2", "--chairs", "0", "--out", str(out)]) == 0
-    assert json.loads((out / "manifest.json").read_text())["facts"]["end_s"] == pytest.approx(2.0)
+    assert parsed(out / "manifest.json")["facts"]["end_s"] == pytest.approx(2.0)
     assert "road users near a wheelchair" not in capsys.readouterr().out
 
 
@@ -53,7 +52,7 @@ def test_jams_are_counted_as_they_are_told(tmp_path, capsys, caplog):
         (line,) = (record.getMessage() for record in caplog.records if "jam: " in record.getMessage())
         assert line.startswith("jam: SUMO teleported jammed, which stood too long on edge SC, at 17.")
         assert f"teleports out of jams            │ {cell}" in capsys.readouterr().out
-        facts = json.loads((out / "manifest.json").read_text())["facts"]
+        facts = parsed(out / "manifest.json")["facts"]
         assert (facts["teleports"], facts["teleports_warming"]) == (1, int(warmup_s > 0))
 
 
@@ -63,7 +62,7 @@ def test_collisions_of_the_warm_up_are_counted_apart(tmp_path, capsys):
     words = ["town", "run", str(sumocfg), "--chairs", "0", "--seconds", "1", "--out", str(out)]
     assert main([*words, "--set", "world.warmup_s=10"]) == 0
     assert "within SUMO's traffic │ 1, 1 during warm-up" in capsys.readouterr().out
-    facts = json.loads((out / "manifest.json").read_text())["facts"]
+    facts = parsed(out / "manifest.json")["facts"]
     assert (facts["collisions"], facts["collisions_warming"]) == (1, 1)
 
 
@@ -106,7 +105,7 @@ def test_a_hook_of_the_users_own_is_loaded_from_the_command_line_only(corner, tm
     words = ["town", "run", str(corner), "--seconds", "1", "--chairs", "0", "--hook", "stops_at_once:Stop"]
     assert main([*words, "--out", "run"]) == 2
     assert "step hook 'stops_at_once:Stop' failed in before_step: ValueError: x" in capsys.readouterr().err
-    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "interrupted"
+    assert parsed(tmp_path / "run" / "manifest.json")["status"] == "interrupted"
     toml = corner / "town.toml"
     before = toml.read_text()
     try:
@@ -143,7 +142,7 @@ def test_training_keeps_what_it_overrides_and_the_outputs_of_the_scenario(corner
     assert main(["train-q", "--town", str(sumocfg), "--out", str(out), *small]) == 0
     message = capsys.readouterr().out
     assert "what this run overrides" not in message and "summary-output" in message and "--verbose" in message
-    rows = {row["option"]: row for row in json.loads((out / "manifest.json").read_text())["overrides"]}
+    rows = {row["option"]: row for row in parsed(out / "manifest.json")["overrides"]}
     assert rows["summary-output"]["wcsim"] == "sumo/s.xml" and (out / "sumo" / "s.xml").stat().st_size > 1000
     from wcsim.agents.runs.run_folder import open_run
 

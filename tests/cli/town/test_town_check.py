@@ -1,12 +1,11 @@
 """A check ends with SUMO itself, which opens the whole scenario."""
 
-import json
 import shlex
 from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Run, files_in
+from tests.cli.conftest import Run, files_in, parsed
 from tests.support.menagerie import HITTING, build_street
 from tests.support.typed import printed
 from tests.towns.made import hostile
@@ -35,7 +34,7 @@ def test_what_only_sumo_refuses_is_a_fault_in_its_words(wcsim: Run, folder: Path
     before, faults = files_in(folder), []
     for town in (sound, broken):
         result = wcsim("town", "check", town, "--json", "check.json")
-        faults.append(json.loads(Path("check.json").read_text())["faults"])
+        faults.append(parsed("check.json")["faults"])
     assert (result.code, len(faults[1])) == (1, len(faults[0]) + 1)
     (fault,) = [fault for fault in faults[1] if "SUMO cannot run" in fault]
     assert fault in result.out and f"/{culprit}: SUMO cannot run this scenario" in fault

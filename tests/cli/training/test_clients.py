@@ -1,6 +1,5 @@
 """Several networks in one world, a world by hand, and a client by hand."""
 
-import json
 import os
 import signal
 import time
@@ -9,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import QUICK, finished, start
+from tests.cli.conftest import QUICK, finished, parsed, start
 from wcsim.agents.clients.group_run import ResolvedGroupRun, create_group_run_folder, open_group_run_folder
 from wcsim.agents.clients.paid_times import read_group_run_times
 from wcsim.agents.networks.names import NETWORK_NAMES
@@ -221,7 +220,7 @@ def test_two_networks_learn_in_one_world_of_a_town_a_generation(tmp_path, corner
     generations = ("--set", "world.epoch_ticks=12", "--set", "learn.phase1_steps=8")
     child = start(tmp_path, "train-clients", "patch,fig6", *words, *generations)
     out, _ = finished(child, 200)
-    result = json.loads((tmp_path / "x.json").read_text())
+    result = parsed(tmp_path / "x.json")
     assert [(c["name"], c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [
         ("patch", 19, 0, 0),
         ("fig6", 19, 0, 0),
@@ -262,7 +261,7 @@ def test_equal_seeds_give_equal_worlds(tmp_path, corner):
         words = ("train-clients", "conv3d,fig6", "--town", corner, "--steps", 60, "--seed", seed, "--out", name)
         child = start(tmp_path, *words, "--json", f"{name}.json", *SMALL)
         finished(child)
-        hashes.append(json.loads((tmp_path / f"{name}.json").read_text())["journal_hash"])
+        hashes.append(parsed(tmp_path / f"{name}.json")["journal_hash"])
     assert hashes[0] == hashes[1] != hashes[2]
 
 
@@ -284,13 +283,13 @@ def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
         file.write(b"torn")
     child = start(tmp_path, "resume", "run", "--json", "x.json")
     _, err = finished(child)
-    result = json.loads((tmp_path / "x.json").read_text())
+    result = parsed(tmp_path / "x.json")
     assert [(c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [(200, 0, 0), (200, 0, 0)]
     assert "the last 4 bytes were an incomplete record" in err
     assert (tmp_path / "run" / "journal.torn").read_bytes() == b"torn"
     child = start(tmp_path, "resume", "run", "--json", "again.json")
     child.communicate(timeout=120)
-    again = json.loads((tmp_path / "again.json").read_text())
+    again = parsed(tmp_path / "again.json")
     assert (child.returncode, again) == (0, {**result, "ticks_per_s": 0.0})
 
 

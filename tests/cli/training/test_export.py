@@ -11,7 +11,7 @@ import pytest
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from tests.agents.export.test_value_graph import Plain, config_of, saved
-from tests.cli.conftest import files_in
+from tests.cli.conftest import files_in, parsed
 from tests.cli.test_bad_input import refused
 from tests.log.drives import tick, write_drive
 from wcsim.agents.danger.policy import save_danger
@@ -58,7 +58,7 @@ def test_a_network_that_looks_at_pictures_is_not_exported_whoever_made_its_eye(w
     save_danger(folder / "seeing", network(eye="picture"), DangerRuleSettings(), CONFIG)
     told = wcsim("export", "seeing", "--onnx", "x")
     refused(told, "seeing uses camera pictures (danger.eye=picture), which cannot be exported", "danger.eye=map")
-    said = json.loads(Path("seeing/policy.json").read_text())
+    said = parsed("seeing/policy.json")
     Path("seeing/policy.json").write_text(json.dumps({**said, "net": {**said["net"], "network": "own_file:Own"}}))
     told = wcsim("export", "seeing", "--onnx", "x")
     refused(told, "cannot be exported")
@@ -117,7 +117,7 @@ def test_the_reference_of_somebody_elses_drive_is_what_the_policy_chooses_there(
     assert "wcsim drive --policy own --record FILE" in told.out
     with np.load("x/reference.npz") as kept:
         assert len(kept["action"]) == 12 and (kept["action"] != 80).all()
-    assert json.loads(Path("x/meaning.json").read_text())["facts"]["same_as_recorded"] == 0.0
+    assert parsed("x/meaning.json")["facts"]["same_as_recorded"] == 0.0
     assert {path.name for path in Path("x").iterdir()} == set(WRITTEN)
     alone = subprocess.run([sys.executable, "-P", "x/exported_policy.py"], capture_output=True, text=True, check=False)
     assert alone.returncode == 0, alone.stderr
@@ -138,7 +138,7 @@ def test_a_network_of_q_learning_is_exported_with_what_it_is_shown_itself(wcsim,
     assert told.code == 0, told
     assert "100.0% of 12 actions match the network, 100.0% match wcsim's policy" in told.out
     assert "the limit of 40 ms" in told.out and "map cells" not in told.out
-    meaning = json.loads(Path("x/meaning.json").read_text())
+    meaning = parsed("x/meaning.json")
     assert meaning["action_delay_ticks"] == 2 and list(meaning["inputs"]) == ["depth", "seg", "imu", "joystick"]
 
 

@@ -1,6 +1,5 @@
 """A client by hand: how long it waits for its world, and what its world hears of it."""
 
-import json
 import os
 import re
 import signal
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.conftest import parsed
 from tests.server.servers import Server, stand_in_order
 from tests.support.events import read_events
 from wcsim.agents.clients.client import make_client_env
@@ -77,7 +77,7 @@ def test_one_that_is_supervised_is_started_again_after_a_death(tmp_path, monkeyp
         assert join.run([server.order.endpoint, *words]) == 0
     events = [line["event"] for line in read_events(tmp_path / "run.supervised")]
     assert events == ["start", "death", "restart", "recovery", "done"]
-    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
+    assert parsed(tmp_path / "run" / "manifest.json")["status"] == "done"
 
 
 def test_a_world_that_was_never_there_is_refused_and_one_that_was_is_tried_again(tmp_path):

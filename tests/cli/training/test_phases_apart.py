@@ -1,19 +1,20 @@
 """Clients that learn the first phase together, and of which a suite chooses the one that learns the second."""
 
-import json
 import signal
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in, written_list
-from tests.cli.conftest import finished, start
+from tests.cli.conftest import finished, parsed, start
 from tests.cli.training.test_clients import SMALL, waited
 from tests.support.events import read_events
 from wcsim.agents.clients.group_run import ResolvedGroupRun, open_group_run_folder, read_chosen_client_name
 from wcsim.agents.evaluation.suite.result_files import result_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
+from wcsim.agents.networks import costs
 from wcsim.agents.opening.list_file import write_list
 from wcsim.agents.runs.metrics import STEP_COLUMNS, read_metrics
 from wcsim.agents.runs.run_folder import open_run
@@ -98,7 +99,9 @@ def check(run, best, left):
     assert all(open_run(run / name).policy("phase1").is_dir() for name in (best, left))
 
 
-def test_the_lowest_kpi_1_of_the_first_phase_goes_on_or_whom_the_user_names(tmp_path, capsys):
+def test_the_lowest_kpi_1_of_the_first_phase_goes_on_or_whom_the_user_names(tmp_path, capsys, monkeypatch):
+    times_ms = {"patch": 3.0, "fig6": 99.0}
+    monkeypatch.setattr(costs, "measure_network_cost", lambda name, *size: SimpleNamespace(p50_ms=times_ms[name]))
     run = replace(a_group(), out=tmp_path)
     for name, first, last in (("patch", 0.9, 0.3), ("fig6", 0.2, 0.35)):
         rows = [(first, 1)] * 5 + [(last, 1)] * 20 + [(0.0, 2)]
@@ -107,9 +110,18 @@ def test_the_lowest_kpi_1_of_the_first_phase_goes_on_or_whom_the_user_names(tmp_
         (tmp_path / name / "steps.csv").write_text("\n".join([",".join(STEP_COLUMNS), *lines, ""]))
     options = TrainClientsOptions(clients="patch,fig6")
     assert phases_apart._choose(options, run, "kpi1", None) == "patch"
-    choice = {"by": "kpi1", "clients": {"patch": {"kpi1": 0.3}, "fig6": {"kpi1": 0.35}}, "best": "patch"}
-    assert json.loads((tmp_path / "selection" / "choice.json").read_text()) == choice
+    clients = {
+        "patch": {"kpi1": 0.3, "ms": 3.0, "late_ms": 0.0},
+        "fig6": {"kpi1": 0.35, "ms": 99.0, "late_ms": 0.0},
+    }
+    choice = {"by": "kpi1", "clients": clients, "best": "patch"}
+    assert parsed(tmp_path / "selection" / "choice.json") == choice
     assert "KPI 1, last 2000 steps" in (told := capsys.readouterr().out) and "learns the second phase" in told
+    times_ms["patch"] = 101.0  # too slow, so that it is not chosen
+    assert phases_apart._choose(options, run, "kpi1", None) == "fig6"
+    times_ms["fig6"] = 102.0  # both are: the faster one goes on, and the command says so
+    assert phases_apart._choose(options, run, "kpi1", None) == "patch"
+    assert "all clients are slower" in " ".join(capsys.readouterr().err.split())
     assert (
         phases_apart._choose(options, run, "fig6", None)
         == "fig6"
@@ -126,7 +138,7 @@ def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner,
     child = start(tmp_path, *words, "--json", "x.json")
     out, _ = finished(child)
     run = tmp_path / "run"
-    choice = json.loads((run / "selection" / "choice.json").read_text())
+    choice = parsed(run / "selection" / "choice.json")
     best = choice["best"]
     (left,) = {"patch", "fig6"} - {best}
     assert choice["clients"][best]["score"] >= choice["clients"][left]["score"]
@@ -134,7 +146,7 @@ def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner,
     told = " ".join(out.split())
     assert "learns the second phase" in told and "stops after the first phase" in told
     assert f"wcsim test run/{best}" in told
-    result = json.loads((tmp_path / "x.json").read_text())
+    result = parsed(tmp_path / "x.json")
     assert {c["name"]: (c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]} == {
         best: (32, 0, 0),
         left: (16, 0, 0),

@@ -1,10 +1,8 @@
 """Clients that grow, in processes of their own: replaced at the begin of an epoch, and nobody loses a step."""
 
-import json
-
 import pytest
 
-from tests.cli.conftest import finished, start
+from tests.cli.conftest import finished, parsed, start
 from tests.cli.training.test_clients import SMALL
 from tests.support.events import read_events
 from wcsim.agents.runs.run_folder import open_run
@@ -36,7 +34,7 @@ def test_a_client_that_grows_is_replaced_and_nobody_loses_a_step(tmp_path, corne
         tmp_path, "train-clients", "--town", corner, *words, *SMALL, *(w for s in settings for w in ("--set", s))
     )
     finished(child, 400)
-    result = json.loads((tmp_path / "x.json").read_text())
+    result = parsed(tmp_path / "x.json")
     assert [(c["missing"], c["duplicated"]) for c in result["clients"]] == [(0, 0), (0, 0)]
     events = read_events(tmp_path / "run")
     replaced = [event for event in events if event["event"] == "replaced" and event["who"] == "Leaky"]

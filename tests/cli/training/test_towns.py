@@ -8,6 +8,8 @@ from tests.cli.conftest import QUICK
 from tests.conftest import ROOT
 from tests.support.events import read_events
 from wcsim.agents.runs.run_folder import open_run
+from wcsim.cli import serve
+from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import open_town, streets_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 
@@ -51,6 +53,17 @@ def test_towns_take_turns_and_resume_goes_on_with_them(wcsim, folder, corner, ot
     assert wcsim("report", "run").code == 0
     page = (run / "report.html").read_text(encoding="utf-8")
     assert name in page and other.name in page
+
+
+def test_a_served_world_changes_town_as_a_training_does(wcsim, folder, corner, other, monkeypatch):
+    def plan(order, *place):
+        raise ConfigError(f"{order.town} then {order.more_towns}")
+
+    monkeypatch.setattr(serve, "make_world_launch_plan", plan)
+    words = ("serve", "--town", f"{corner},{other}", *QUICK)
+    assert f"{corner} then ('{other}',)" in wcsim(*words, "--run", "w").err
+    for more in ((), ("--run", "w", "--set", "world.epoch_ticks=0")):
+        assert "the world never changes town" in wcsim(*words, *more).err
 
 
 BAD = {

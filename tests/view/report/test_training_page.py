@@ -1,6 +1,7 @@
 """The page of a training: what the log holds, for each client."""
 
 import csv
+from dataclasses import replace
 
 import pytest
 
@@ -34,6 +35,11 @@ def one(path):
     return create_run_folder(path, config, make_run_manifest(config, INFO)).path
 
 
+def table(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
 def log(folder, *rows):
     folder.mkdir(exist_ok=True)
     metrics = MetricsFile(folder / "metrics.csv")
@@ -58,17 +64,13 @@ def test_both_curves_of_every_client_are_what_the_log_says(tmp_path):
     assert main(["report", str(run)]) == 0
     text = (run / "report.html").read_text(encoding="utf-8")
     assert "Fig. 7a" in text and "Fig. 7b" in text and "http" not in text.replace("http-equiv", "")
-    with (run / "report" / "fig-7a-kpi1.csv").open() as file:
-        distances = list(csv.DictReader(file))
-    with (run / "report" / "fig-7b-length.csv").open() as file:
-        lengths = list(csv.DictReader(file))
+    distances, lengths = (table(run / "report" / f"fig-7{name}.csv") for name in ("a-kpi1", "b-length"))
     assert [(r["client"], r["step"], float(r["kpi1"])) for r in distances] == [
         ("a", "100", 0.5), ("a", "200", 0.25), ("b", "100", 0.5),
     ]  # fmt: skip
     assert [float(r["mean_of_20"]) for r in lengths] == [10.0, 20.0], "of the second phase alone"
     assert [r["crashed"] for r in lengths] == ["1", "0"], "the one that its world cut is in no figure"
-    with (run / "report" / "clients.csv").open() as file:
-        assert [(r["episodes"], r["cut"]) for r in csv.DictReader(file)] == [("3", "1"), ("1", "0")]
+    assert [(r["episodes"], r["cut"]) for r in table(run / "report" / "clients.csv")] == [("3", "1"), ("1", "0")]
     assert (run / "report" / "fig-7a-kpi1.svg").is_file()
 
 
@@ -88,8 +90,8 @@ def test_several_runs_are_one_page_that_says_which_is_which(tmp_path, monkeypatc
     assert "alone: KPI 1 (mean of 2000 steps) is below 0.1768 from step 2000 on (2.0 min)" in told
     page = (tmp_path / "runs" / "report" / "report.html").read_text(encoding="utf-8")
     assert "KPI 1 below 0.1768 from step" in page and "town corner, seed 1" in page
-    with (tmp_path / "runs" / "report" / "report" / "clients.csv").open() as file:
-        found = {r["client"]: r["KPI 1 below 0.1768 from step"] for r in csv.DictReader(file)}
+    clients = table(tmp_path / "runs" / "report" / "report" / "clients.csv")
+    found = {r["client"]: r["KPI 1 below 0.1768 from step"] for r in clients}
     assert found == {"run/a": "", "run/b": "", "alone": "2000"}
     assert main(["report", "run", "alone", "--out", "other"]) == 0
     assert (tmp_path / "other" / "report" / "fig-7a-kpi1.svg").is_file()
@@ -108,8 +110,10 @@ def test_rounds_of_danger_networks_are_drawn_beside_the_episodes_of_others(tmp_p
     assert told in capsys.readouterr().out
     page = (danger / "report.html").read_text(encoding="utf-8")
     assert "Rounds of driving and learning" in page and "Fig. 7a" not in page
-    with (danger / "report" / "steps-between-crashes.csv").open() as file:
-        alive = [(found["round"], float(found["steps-between-crashes"])) for found in csv.DictReader(file)]
+    alive = [
+        (found["round"], float(found["steps-between-crashes"]))
+        for found in table(danger / "report" / "steps-between-crashes.csv")
+    ]
     assert alive == [("2", 300.0)] and "Fig. 7b" not in page, "of the network alone"
     log(values, row(10), row(20, phase=2))
     assert main(["report", "danger", "values"]) == 0
@@ -121,8 +125,7 @@ def test_values_that_promise_too_much_are_drawn_where_they_are_known(tmp_path):
     run = one(tmp_path / "alone")
     log(run, row(10, overestimate=""), row(20, overestimate=0.25), row(30, overestimate=-0.75))
     write_training_page(read_training([run]), run)
-    with (run / "report" / "overestimate.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = table(run / "report" / "overestimate.csv")
     assert [(r["step"], float(r["overestimate"]), float(r["mean_of_20"])) for r in rows] == [
         ("20", 0.25, 0.25), ("30", -0.75, -0.25),
     ]  # fmt: skip
@@ -141,6 +144,8 @@ def test_a_crossing_is_of_the_mean_of_2000_steps_and_says_when_it_was_left_again
     assert crossing(rows_of(*[0.18] * 50)).step is None
     late = crossing(rows_of(*[0.5] * 5, *[0.1] * 100))
     assert (late.step, late.left, late.last) == (2200, None, pytest.approx(0.1))  # three of twenty are 0.5
+    sittings = [replace(row, elapsed_s=row.elapsed_s % 8) for row in rows_of(*[0.1] * 30)]
+    assert crossing(sittings).elapsed_s == 7 + 7 + 4, "two sittings of 7 s before, and 4 s of the third"
     left = crossing(rows_of(*[0.1] * 20, *[0.9] * 20))
     assert (left.step, left.left) == (2000, 2200)
 

@@ -7,7 +7,6 @@ episode; then each step is a `command` and its `finish_step`.
 
 from __future__ import annotations
 
-import operator
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
@@ -34,7 +33,7 @@ from wcsim.supervisor.rewards import (
 from wcsim.types import F32, ClientSnapshot, Command, Drawn, Joystick, RewardTerms
 
 WORLD_RESTARTED: Final = "world_restarted"
-_IMAGE_KEYS: Final = (CLASS_KEY, DEPTH_KEY, RGB_KEY)  # of the compact forms
+_IMAGE_KEYS: Final = (CLASS_KEY, DEPTH_KEY, RGB_KEY, policy_api.COLOURS_KEY)
 
 # Of an environment: pictures and numbers by name, or the rows of `state`.
 EnvObservation = Observation | F32
@@ -120,27 +119,9 @@ class SeatEnvAdapter:
         return self.begin(self.now.first)
 
     def action_index(self, action: object) -> int:
-        """The index of an action in the set: an integer, or an array of one; 1.0 is none.
-
-        Raises:
-            ProtocolError: No episode is on.
-            BadActionError: It is no integer, or not in the set.
-        """
+        """See `ActionSet.index`. Raises ProtocolError, too, when no episode is on."""
         self._require_ready()
-        number = action
-        if isinstance(action, np.ndarray) and action.size == 1:
-            number = action.reshape(())[()]
-        try:
-            index = operator.index(number)  # type: ignore[arg-type]
-        except TypeError:
-            index = -1
-        most = len(self._actions) - 1
-        if not 0 <= index <= most:
-            raise BadActionError(
-                f"action {escape_repr(action)} is not in the action set; expected an integer "
-                f"from 0 to {most}"
-            )
-        return index
+        return self._actions.index(action)
 
     def stick(self, action: object) -> Joystick:
         """The joystick position of an action. Raises as `action_index`."""
@@ -335,14 +316,16 @@ class FrameStacker:
     def add(self, observation: Observation) -> Observation:
         """Store an observation with images (1, H, W); returns it with its window (frames, H, W).
 
-        Colours have three planes an image. The arrays of the window are new ones.
+        Colours have three planes an image. Each array of Table 3 gets a dimension in front. The
+        arrays of the window are new ones.
         """
         if self._frames == 1:
             return observation
+        join = np.stack if policy_api.COLOURS_KEY in observation else np.concatenate
         missing = max(self._frames - len(self._observations), 1)
         self._observations.extend([observation] * missing)
         images: dict[str, npt.NDArray[Any]] = {
-            key: np.concatenate([old[key] for old in self._observations])
+            key: join([old[key] for old in self._observations])
             for key in _IMAGE_KEYS
             if key in observation
         }
@@ -350,14 +333,16 @@ class FrameStacker:
 
 
 def window_observation_space(space: gymnasium.spaces.Dict, frames: int) -> gymnasium.spaces.Dict:
-    """The space of the observations that `FrameStacker` makes of the compact ones in `space`."""
+    """The space of the observations that `FrameStacker` makes of those in `space`."""
     if frames == 1:
         return space
     parts = dict(space.spaces)
     for key in parts.keys() & set(_IMAGE_KEYS):
         planes, *size = space[key].shape or ()
-        shape = (frames * planes, *size)
-        parts[key] = gymnasium.spaces.Box(0, 255, shape, np.uint8)
+        if policy_api.COLOURS_KEY in parts:
+            parts[key] = gymnasium.spaces.Box(0.0, 1.0, (frames, planes, *size), np.float32)
+        else:
+            parts[key] = gymnasium.spaces.Box(0, 255, (frames * planes, *size), np.uint8)
     return gymnasium.spaces.Dict(parts)
 
 
@@ -375,8 +360,11 @@ def trim_frame_window(observation: policy_api.Observation, frames: int) -> polic
     if held == frames:
         return observation
     # An image may have several planes: colours have three.
-    planes = {key: len(observation[key]) // held for key in _IMAGE_KEYS if key in observation}
-    return {
-        key: value[-frames * planes[key] :] if key in planes else value
-        for key, value in observation.items()
+    images = {
+        key: observation[key][-frames * (len(observation[key]) // held) :]
+        for key in _IMAGE_KEYS
+        if key in observation
     }
+    if frames == 1:  # a picture of Table 3 has no dimension in front
+        images = {key: value.reshape(-1, *value.shape[-2:]) for key, value in images.items()}
+    return {**observation, **images}

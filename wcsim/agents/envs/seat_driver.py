@@ -19,6 +19,7 @@ from wcsim.agents.policy_api import (
     pass_delay,
 )
 from wcsim.config import RunConfig
+from wcsim.supervisor.actions import ActionSet
 from wcsim.types import ClientSnapshot, Joystick
 
 
@@ -75,12 +76,13 @@ class PolicyAgentAdapter:
 
     Args:
         policy: Chooses the actions; its `begin` is called with the first episode.
+        actions: The joystick positions.
         help_ticks: See `Helping`.
     """
 
-    def __init__(self, policy: Policy, help_ticks: int = 0) -> None:
+    def __init__(self, policy: Policy, actions: ActionSet, help_ticks: int = 0) -> None:
         self.policy = policy
-        self.help = Helping(policy, help_ticks)
+        self.help = Helping(policy, help_ticks, actions)
         self._is_new = True
 
     def reset(self, info: Info) -> None:
@@ -93,11 +95,16 @@ class PolicyAgentAdapter:
         self.policy.reset()
 
     def act(self, observation: Observation, info: Info) -> int:
-        """The policy's action."""
+        """The policy's action, or what help makes of it. Raises BadActionError."""
         self._show(info)
         if info["help"]:
             self.help.request()
-        action = self.policy.act(observation)
+        policy = self.policy
+        if isinstance(policy, HearsSent):
+            action = self.help.choice(policy.choose(observation))
+            policy.sent(action)
+        else:
+            action = self.help.choice(policy.act(observation))
         self.help.tick()
         return action
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, Policy
+from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, Policy, Warns
 from wcsim.config import parse
 from wcsim.config.run_file import ExportedGuardSection, PolicyGuardSettings
 from wcsim.core import reading
@@ -45,8 +45,10 @@ class GuardedPolicy:
 
     def _rest(self) -> None:
         self.stick = (0.0, 0.0)
-        self.tripped = self.warning = False
+        self.tripped = False
         self._good_ticks = 0
+        if isinstance(self._policy, Warns):
+            self.warning = False
 
     def begin(self) -> None:
         """Nothing outlives an episode."""
@@ -65,7 +67,8 @@ class GuardedPolicy:
         rule, chosen = self._rule, self._finite_choice(observation)
         self._good_ticks = 0 if chosen is None else self._good_ticks + 1
         self.tripped = chosen is None or (self.tripped and self._good_ticks < rule.good_ticks)
-        self.warning = self.warning and chosen is not None
+        if isinstance(self._policy, Warns):
+            self.warning = chosen is not None and self._policy.warning
         if chosen and not self.tripped:
             self.stick = chosen
         else:
@@ -88,7 +91,6 @@ class GuardedPolicy:
             x, y = self._actions.points[self._policy.act(seen)].tolist()
         except NotFinite:
             return None
-        self.warning = bool(getattr(self._policy, "warning", False))
         return x, y
 
 

@@ -31,6 +31,7 @@ from wcsim.agents.export.footprint import (
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.policy_graphs import DangerPolicyGraph, ValuePolicyGraph
 from wcsim.agents.networks.onnx_form import network_to_onnx
+from wcsim.agents.perception.alarm import CALM, TWO_TICKS
 from wcsim.agents.policies.onnx_policy import ABOUT_FILE, open_onnx_session
 from wcsim.agents.policy_api import (
     CLASS_KEY,
@@ -99,6 +100,12 @@ _VALUES: Final = (
     "the reward that the network expects from an action on, reward_scale times the sum of "
     "discount^n times the reward of the nth tick; compare values of one tick, they are no "
     "probabilities and no dangers"
+)
+_WARNING: Final = (
+    "already in `warning`: with level = the mean of its last value and of 1 where the action "
+    "nearest to the user's stick is worth less than the best one by more than tolerated_loss, else "
+    f"0: it warns above {TWO_TICKS:g}, and then until level is at most {CALM * TWO_TICKS:g}; "
+    "state_alarm holds level and warning"
 )
 _RULE: Final = (
     "already in `values`: the user's own action where its danger is below threshold, or below "
@@ -253,7 +260,7 @@ def _write_reference(
     return ExportMeasurements(
         steps=len(ride),
         interventions=int(np.sum(own != actions)),
-        warnings=int(np.sum(outputs["warning"] > 0.5)) if "warning" in outputs else 0,
+        warnings=int(np.sum(outputs["warning"] > 0.5)),
         most_off=float(off[~at_border].max(initial=0.0)),
         border_steps=int(at_border.sum()),
         border_off=float(off.max()),
@@ -358,6 +365,8 @@ def _meaning_of(graph: Graph, config: RunConfig) -> dict[str, Any]:
             "values_meaning": _VALUES,
             "reward_scale": scale,
             "discount": config.learn.gamma,
+            "tolerated_loss": graph.tolerated_loss,
+            "warning_meaning": _WARNING,
         }
     return {
         "not_for": _NOT_FOR,

@@ -4,8 +4,8 @@ A danger policy drives with NumPy and numba kernels, which no exporter can trace
 and `DangerPolicyGraph` therefore compute the same a second time, with the tensor operations that
 ONNX has. Each of their methods names the function it repeats: a change of one is a change of both.
 `tests/agents/export/test_danger_graph.py` compares them. An operation costs more than the numbers
-in it, so there are as few as possible. `ValuePolicyGraph` repeats nothing: it calls the network
-itself.
+in it, so there are as few as possible. `ValuePolicyGraph` calls the network itself, and repeats
+when `_NetPolicy` warns.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.policy import GIVES_BACK, LESS_M, RECENT_TICKS
 from wcsim.agents.networks.encoder import image_size_from_space
 from wcsim.agents.networks.q_network import QNet
-from wcsim.agents.perception.alarm import CALM, NEWEST
+from wcsim.agents.perception.alarm import CALM, NEWEST, TWO_TICKS
 from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.agents.perception.ego_motion import (
     GYRO_Z,
@@ -31,7 +31,7 @@ from wcsim.agents.perception.ego_motion import (
     TURN_FULL_SCALE,
 )
 from wcsim.agents.perception.surroundings import FAR_SHARE, outline_to_box, sampling_stride_px
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, JOYSTICK_KEY
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core.joystick import (
@@ -290,7 +290,8 @@ class DangerPolicyGraph(nn.Module):
         danger = torch.sigmoid(self.net(codes[None] / 255.0, vector, self._sweep(rolled)))
         values, recent = self._choose(danger, joystick, last, recent)
         action = values.argmax(dim=1)
-        alarm = self._next_alarm(danger, joystick, alarm)
+        own = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).argmin(dim=1)
+        alarm = _next_alarm(alarm, danger.gather(1, own[:, None]), self.rule.warn)
         # 4. Send it, to the drive as shaped, to the next ticks' vectors as the stick itself.
         chosen = self.commands[action][:, None]
         waiting = torch.cat([waiting[:, 1:], chosen], 1)
@@ -437,13 +438,6 @@ class DangerPolicyGraph(nn.Module):
         found = self.plane + row * street_map.SIDE + column
         return found.transpose(0, 1).reshape(1, len(self.commands), -1).to(torch.int64)
 
-    def _next_alarm(self, danger: Tensor, joystick: Tensor, alarm: Tensor) -> Tensor:
-        """Repeats `alarm.next_alarm_state`, for the action nearest to the user's stick."""
-        own = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).argmin(dim=1)
-        level = alarm[:, 0:1] + NEWEST * (danger.gather(1, own[:, None]) - alarm[:, 0:1])
-        still_on = (alarm[:, 1:2] > 0.5) & (level > CALM * self.rule.warn)
-        return torch.cat([level, ((level > self.rule.warn) | still_on).to(level.dtype)], 1)
-
     def _choose(
         self, danger: Tensor, joystick: Tensor, last: Tensor, recent: Tensor
     ) -> tuple[Tensor, Tensor]:
@@ -491,13 +485,14 @@ class ValuePolicyGraph(nn.Module):
     Args:
         net: With its weights.
         window: Images that it looks at; 1 if it carries a state.
+        tolerated_loss: It warns of a stick that is worth less than the best action by more.
     """
 
-    outputs: Final = ("values",)
+    outputs: Final = ("values", "warning")
     checked: Final = "values"
     border_share: Final = 0.0
 
-    def __init__(self, net: QNet, window: int) -> None:
+    def __init__(self, net: QNet, window: int, tolerated_loss: float) -> None:
         """Raises PolicyError for a network that sees something else than classes and depth."""
         if net.encoder.form != "compact":
             raise PolicyError(
@@ -505,44 +500,58 @@ class ValuePolicyGraph(nn.Module):
                 "expected compact"
             )
         super().__init__()
-        self.net, self.window = net, window
+        self.net, self.window, self.tolerated_loss = net, window, tolerated_loss
+        # Of float64, as `ActionSet.nearest` compares: of two that are nearly as near, the same.
+        self.points = nn.Buffer(torch.tensor(action_set(net.spec.actions).points), persistent=False)
         self.inputs = (DEPTH_KEY, CLASS_KEY, *net.encoder.vector_keys)
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """The shapes of all states."""
+        # Smoothed danger of the user's own stick, and whether it warns.
+        shapes: dict[str, tuple[int, ...]] = {"state_alarm": (1, 2)}
         if self.net.spec.stateful:
-            return {"state_memory": (1, self.net.encoder.state_size)}
-        if self.window == 1:
-            return {}
-        # Depth and classes of the earlier pictures, each number one higher: 0 is no picture.
-        return {
-            "state_pictures": (
-                1,
-                2,
-                self.window - 1,
-                *image_size_from_space(self.net.observation_space),
-            )
-        }
+            shapes["state_memory"] = (1, self.net.encoder.state_size)
+        elif self.window > 1:
+            # Depth and classes of the earlier pictures, each number one higher: 0 is no picture.
+            size = image_size_from_space(self.net.observation_space)
+            shapes["state_pictures"] = (1, 2, self.window - 1, *size)
+        return shapes
 
     def forward(self, *given: Tensor) -> tuple[Tensor, ...]:
-        """Values (1, A) and the next states, of inputs and states in their order."""
+        """Values (1, A), warning (1, 1), next states; inputs and states are in their order."""
         seen = dict(zip(self.inputs, given, strict=False))
-        states = given[len(self.inputs) :]
+        alarm, *memory = given[len(self.inputs) :]
+        # 1. The values, as the network is called in a world.
         if self.net.spec.stateful:
-            return self.net.step(seen, *states)
-        if not states:
-            return (self.net(seen),)
-        (earlier,) = states
-        newest = torch.stack([seen[DEPTH_KEY], seen[CLASS_KEY]], 1).to(torch.float32) + 1.0
-        # The first picture of an episode fills the window, as in `FrameStacker`.
-        pictures = torch.cat([torch.where(earlier > 0.0, earlier, newest), newest], 2)
-        depth, classes = (pictures - 1.0).unbind(1)
-        return self.net({**seen, DEPTH_KEY: depth, CLASS_KEY: classes}), pictures[:, :, 1:]
+            values, *memory = self.net.step(seen, *memory)
+        elif not memory:
+            values = self.net(seen)
+        else:
+            (earlier,) = memory
+            newest = torch.stack([seen[DEPTH_KEY], seen[CLASS_KEY]], 1).to(torch.float32) + 1.0
+            # The first picture of an episode fills the window, as in `FrameStacker`.
+            pictures = torch.cat([torch.where(earlier > 0.0, earlier, newest), newest], 2)
+            depth, classes = (pictures - 1.0).unbind(1)
+            values = self.net({**seen, DEPTH_KEY: depth, CLASS_KEY: classes})
+            memory = [pictures[:, :, 1:]]
+        # 2. The warning, as in `_NetPolicy.act`.
+        stick = seen[JOYSTICK_KEY].to(torch.float64)
+        own = ((self.points[None] - stick[:, None]) ** 2).sum(-1).argmin(dim=1)
+        lost = values.amax(dim=1, keepdim=True) - values.gather(1, own[:, None])
+        alarm = _next_alarm(alarm, (lost > self.tolerated_loss).to(alarm.dtype), TWO_TICKS)
+        return values, alarm[:, 1:2], alarm, *memory
 
 
 def _constant(numbers: np.ndarray) -> Tensor:
     """Numbers that a graph never changes, float32; no file of weights holds them."""
     return nn.Buffer(torch.from_numpy(np.ascontiguousarray(numbers, np.float32)), persistent=False)
+
+
+def _next_alarm(before: Tensor, danger: Tensor, warn: float) -> Tensor:
+    """Repeats `alarm.next_alarm_state`: smoothed danger and alarm (1, 2); danger (1, 1)."""
+    level = before[:, 0:1] + NEWEST * (danger - before[:, 0:1])
+    on = (level > warn) | ((before[:, 1:2] > 0.5) & (level > CALM * warn))
+    return torch.cat([level, on.to(level.dtype)], 1)
 
 
 def _cells_in_O(motion: Tensor, x_B_m: Tensor, y_B_m: Tensor) -> tuple[Tensor, Tensor]:

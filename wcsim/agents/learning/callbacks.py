@@ -13,6 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any, Final
@@ -24,7 +25,14 @@ from stable_baselines3.common.callbacks import BaseCallback
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.policy_api import JOYSTICK_KEY
-from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS, MetricsFile, TensorBoardLog, Value
+from wcsim.agents.runs.metrics import (
+    KPI1_STEPS,
+    ROW_STEPS,
+    MetricsFile,
+    TensorBoardLog,
+    Value,
+    read_metrics,
+)
 from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import Events
@@ -111,6 +119,10 @@ class EpisodeMetricsCallback(SeqDqnCallback):
         self._by_seat: list[_EpisodeSums] = []
         self._distances: list[float] = []  # of the greedy actions since the last row of steps.csv
         self._means: deque[float] = deque(maxlen=KPI1_STEPS // ROW_STEPS)
+        # A run that goes on has rows; a report refuses damaged ones.
+        for row in read_metrics(steps.path, steps.columns):
+            with suppress(ValueError):
+                self._means.append(float(row["kpi1_greedy"]))
 
     @property
     def kpi1(self) -> float | None:

@@ -157,7 +157,7 @@ class _NetPolicy:
         self.net.set_training_mode(False)
         prior = file.net.prior
         self._actions = action_set(file.net.actions)
-        self._tolerated_loss = _WARN_STEPS * file.reward_scale * (prior.base + prior.penalty)
+        self.tolerated_loss = _WARN_STEPS * file.reward_scale * (prior.base + prior.penalty)
         self.reset()
 
     @property
@@ -178,7 +178,7 @@ class _NetPolicy:
         """The action of the highest value; a network with a state remembers the observation."""
         values, self._state = self._evaluate(observation)
         lost = float(values.max() - values[self._actions.nearest(observation[JOYSTICK_KEY])])
-        self._alarm = next_alarm_state(self._alarm, float(lost > self._tolerated_loss), TWO_TICKS)
+        self._alarm = next_alarm_state(self._alarm, float(lost > self.tolerated_loss), TWO_TICKS)
         return int(values.argmax())
 
     def values(self, observation: Observation) -> F32:

@@ -29,7 +29,7 @@ from torch.nn import functional
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.replay.groups import SequenceBatch
-from wcsim.agents.networks.q_network import QNet, SeqQPolicy
+from wcsim.agents.networks.q_network import Array, QNet, Seen, SeqQPolicy, States
 from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY
 from wcsim.config import LearnConfig
 from wcsim.core import seeding
@@ -39,7 +39,6 @@ from wcsim.supervisor.observation import count_imu_values
 from wcsim.types import F32, F64
 
 Tensors = dict[str, torch.Tensor]
-States = tuple[npt.NDArray[Any], ...]
 Signs = tuple[tuple[str, tuple[float, ...]], ...]  # of each number of each further sensor, by name
 
 EXPLORED_SIGMA: Final = 0.5  # spread of local exploration, in stick units
@@ -85,7 +84,7 @@ class SeqDQN(DQN):
     q_net: QNet  # type: ignore[assignment]
     q_net_target: QNet  # type: ignore[assignment]
     replay_buffer: FrameReplay
-    _last_obs: dict[str, npt.NDArray[Any]]
+    _last_obs: dict[str, Array]
 
     def __init__(
         self,
@@ -113,7 +112,7 @@ class SeqDQN(DQN):
         self._carried: States | None = None
         self._next: States | None = None
         # (N,) the best actions in the next step, where they are known
-        self._greedy: npt.NDArray[Any] | None = None
+        self._greedy: Array | None = None
         self.skipped_updates = 0
         self.max_abs_q = 0.0
         self.last_loss = float("nan")
@@ -142,11 +141,11 @@ class SeqDQN(DQN):
 
     def predict(
         self,
-        observation: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
-        state: tuple[npt.NDArray[Any], ...] | None = None,
-        episode_start: npt.NDArray[Any] | None = None,
+        observation: Seen,
+        state: States | None = None,
+        episode_start: Array | None = None,
         deterministic: bool = False,
-    ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
+    ) -> tuple[Array, States | None]:
         """Greedy actions; unless deterministic, each seat explores by a draw of its own."""
         actions, state = self.policy.predict(observation, state, episode_start, deterministic=True)
         if deterministic or not isinstance(observation, dict):
@@ -179,9 +178,7 @@ class SeqDQN(DQN):
         self._held = np.maximum(self._held - 1, 0)
         return explores
 
-    def _sample_action(
-        self, *given: Any, **named: Any
-    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    def _sample_action(self, *given: Any, **named: Any) -> tuple[Array, Array]:
         """Phase 1: the user's nearest action.
 
         Phase 2: greedy with exploration, from the first step on.
@@ -200,7 +197,7 @@ class SeqDQN(DQN):
             self.catch_up()
         return actions, actions
 
-    def greedy(self, observation: dict[str, npt.NDArray[Any]]) -> npt.NDArray[Any]:
+    def greedy(self, observation: dict[str, Array]) -> Array:
         """The network's best actions in the present step, (N,), whatever is executed."""
         if self._greedy is not None:
             return self._greedy

@@ -120,8 +120,8 @@ class ObservationEncoder(BaseFeaturesExtractor):
         of Table 3. Channels last in memory train twice as fast.
         """
         if self.form == "table3":
-            seen = torch.cat([observations[COLOURS_KEY], observations[DEPTH_KEY]], dim=1)
-            return seen[:, None] if self.windowed else seen
+            seen = torch.cat([observations[COLOURS_KEY], observations[DEPTH_KEY]], dim=-3)
+            return seen[:, None] if self.windowed and seen.ndim == 4 else seen
         ids = observations[CLASS_KEY].to(torch.int32)
         depth = observations[DEPTH_KEY] / 255.0
         table = torch.as_tensor(self._planes)
@@ -173,12 +173,14 @@ def image_size_from_space(space: spaces.Space[object]) -> tuple[int, int]:
     dtype = np.float32 if observation_form_from_space(space) == "table3" else np.uint8
     for key in (COLOURS_KEY if COLOURS_KEY in space.spaces else CLASS_KEY, DEPTH_KEY):
         box = _box(space, key)
-        if box.dtype != dtype or len(box.shape) != 3 or box.shape[0] < 1:
+        most = 4 if dtype == np.float32 else 3
+        if box.dtype != dtype or not 3 <= len(box.shape) <= most or box.shape[0] < 1:
             raise PolicyError(
                 f"observation {key!r} is {box.dtype} {box.shape}; expected {np.dtype(dtype)} "
                 "(planes, H, W): see env.observation"
             )
-    return int(_box(space, DEPTH_KEY).shape[1]), int(_box(space, DEPTH_KEY).shape[2])
+    height, width = _box(space, DEPTH_KEY).shape[-2:]
+    return height, width
 
 
 def window_size_from_space(space: spaces.Space[object]) -> int:

@@ -21,6 +21,10 @@ from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 # The learned part starts this small, so that the known part decides from step 0.
 _SMALL_INIT: Final = 0.05
 
+Array = npt.NDArray[Any]
+Seen = Array | dict[str, Array]
+States = tuple[Array, ...]
+
 
 class QNet(BasePolicy):
     """Values of all actions.
@@ -124,7 +128,7 @@ class SeqQPolicy(DQNPolicy):
         spec: NetSpec | None = None,
         optimizer_kwargs: dict[str, Any] | None = None,
     ) -> None:
-        self.spec = spec if spec is not None else NetSpec()
+        self.spec = spec or NetSpec()
         super().__init__(
             observation_space,
             action_space,
@@ -136,11 +140,11 @@ class SeqQPolicy(DQNPolicy):
 
     def predict(
         self,
-        observation: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
-        state: tuple[npt.NDArray[Any], ...] | None = None,
-        episode_start: npt.NDArray[Any] | None = None,
+        observation: Seen,
+        state: States | None = None,
+        episode_start: Array | None = None,
         deterministic: bool = False,
-    ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
+    ) -> tuple[Array, States | None]:
         """Greedy actions; a network with a state takes it and returns the next one, ((N, S),)."""
         if not self.spec.stateful:
             return super().predict(observation, state, episode_start, deterministic)

@@ -219,7 +219,8 @@ class _QLearning(Learner):
         from wcsim.agents.learning.saved_policy import load_policy
 
         policy = load_policy(folder, network)
-        return ValuePolicyGraph(policy.net, policy.file.window), policy
+        graph = ValuePolicyGraph(policy.net, policy.file.window, policy.tolerated_loss)
+        return graph, policy
 
 
 class _DangerRounds(Learner):

@@ -201,14 +201,18 @@ def resolve_policy_config(
 def describe_rule_differences(
     policies: Iterable[str], preset: str, settings: tuple[str, ...]
 ) -> Iterator[str]:
-    """A line for each policy that was trained under other rules than the list's.
+    """A line for each policy that was trained under other rules than the list's, or never warns.
 
     Raises:
         PolicyError, ConfigError: See `resolve_policy_config`.
     """
     for policy in policies:
-        if parse_policy_name(policy).kind in ("baseline", "served", "class"):
+        named = parse_policy_name(policy)
+        if named.kind in ("baseline", "served", "class"):
             continue
+        onnx = named.kind == "onnx" and not named.veto
+        if onnx and not hasattr(OnnxPolicy(named.folder, policy, 0), "warning"):
+            yield f"{policy} never warns: its model has no output 'warning'; export it again"
         learned = resolve_policy_config(policy, preset, settings, in_list=False)
         tested = resolve_policy_config(policy, preset, settings, in_list=True)
         other = list(_others(learned, tested))

@@ -57,7 +57,7 @@ def read_onnx_policy_file(path: Path) -> OnnxPolicySettings:
 class OnnxPolicy:
     """Runs a model; on one core, so that the same model gives the same actions.
 
-    `warning` is whether it warned in its last `act`.
+    `warning` is whether it warned in its last `act`; a model without this output is no `Warns`.
 
     Args:
         path: The folder.
@@ -69,7 +69,6 @@ class OnnxPolicy:
     def __init__(self, path: Path, name: str, actions: int, model: str = MODEL_FILE) -> None:
         """Raises PolicyError when there is no such model, or it has other outputs than actions."""
         self.name = name
-        self.warning = False
         self._actions = actions
         self._session = open_onnx_session(path / model)
         self._inputs = {item.name: item for item in self._session.get_inputs()}
@@ -90,15 +89,18 @@ class OnnxPolicy:
             raise PolicyError(
                 f"{escape(path)}: its states have {size} bytes; expected at most {_LIMIT_BYTES}"
             )
-        self._state: dict[str, Any] = {}
+        self.reset()
 
     def begin(self) -> None:
         """Nothing outlives an episode."""
 
     def reset(self) -> None:
         """Set every state to zero."""
-        self.warning = False
-        self._state = {key: np.zeros(shape, np.float32) for key, shape in self._shapes.items()}
+        if _WARNING in self._outputs:
+            self.warning = False
+        self._state: dict[str, Any] = {
+            key: np.zeros(shape, np.float32) for key, shape in self._shapes.items()
+        }
 
     def act(self, observation: Observation) -> int:
         """The action of the highest value.
@@ -114,7 +116,8 @@ class OnnxPolicy:
         try:
             found = self._run(given)
             values = np.asarray(found[self._outputs[0]], np.float64).reshape(-1)
-            warning = _WARNING in found and float(np.asarray(found[_WARNING]).reshape(-1)[0]) > 0.5
+            if _WARNING in found:
+                self.warning = float(np.asarray(found[_WARNING]).reshape(-1)[0]) > 0.5
         except PolicyError:
             raise
         except Exception as error:  # the runtime has a class of its own for each kind of mistake
@@ -129,7 +132,6 @@ class OnnxPolicy:
                 f"set env.actions in {ABOUT_FILE} as in its training"
             )
         self._state = {key: found[f"{_NEXT}{key}"] for key in self._state}
-        self.warning = warning
         return int(values.argmax())
 
     def _run(self, given: dict[str, Any]) -> dict[str, Any]:

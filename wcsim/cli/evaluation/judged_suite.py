@@ -92,6 +92,8 @@ class SuiteTestOptions(_DriveOptions):
 
     only: common.Flag = False
     """Drive only these policies and the user alone, no other baselines."""
+    together: common.Flag = False
+    """Drive these policies in one street at a time: they take turns in its chairs. As with --only, no baselines."""  # noqa: E501
     forks: Annotated[int | None, common.Bounds(0, 1_000_000)] = None
     """Episodes whose interventions are judged: the user drives on alone in a copy.
     (default: as in the list; 0 with --town)"""
@@ -178,17 +180,26 @@ def run_suite_and_save(order: SuiteOrder, options: SuiteTestOptions, name: str) 
     """The result of a list that `run_suite_and_report` drives; it is written into its folder."""
     from wcsim.agents.evaluation.suite.run import run_suite
 
+    if options.together:
+        order = replace(order, together=tuple(dict.fromkeys(options.policies)))
+        if len(order.together) < 2 or options.cluster:
+            raise ConfigError(
+                f"--together with {pluralize(len(order.together), 'name')}; expected two or more "
+                "policies, and no --cluster"
+            )
     _require_usable(order, options)
-    policies = tuple(
-        dict.fromkeys((UNAIDED, *options.policies, *(() if options.only else _OTHERS)))
-    )
+    others = () if options.only or options.together else _OTHERS
+    policies = tuple(dict.fromkeys((UNAIDED, *options.policies, *others)))
     done = 0
     with StageBar("testing") as bar, _resumable(order, options):
 
         def show(policy: str, blocks: int, of: int) -> None:
             nonlocal done
             done += 1
-            bar.show(done / (of * len(policies)), f"{policy}: {blocks} of {of} blocks")
+            bar.show(
+                done / (of * (len(policies) - len(order.together[1:]))),
+                f"{policy}: {blocks} of {of} blocks",
+            )
             if not bar.console.is_terminal:
                 bar.print_line(f"{policy}: {blocks} of {of} blocks")
 
@@ -292,8 +303,9 @@ def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
             "or choose another folder"
         )
     suite, console = order.suite, stderr_console()
+    each = "of all together" if order.together else "a policy"
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
-    console.print(f"{listed}: {pluralize(suite.episodes, 'episode')} a policy")
+    console.print(f"{listed}: {pluralize(suite.episodes, 'episode')} {each}")
     for line in describe_rule_differences(
         options.policies, order.preset, (*suite.file.settings, *order.settings)
     ):

@@ -134,6 +134,7 @@ def _town_order(options: PolicyTestOptions) -> Iterator[tuple[SuiteOrder, str]]:
         options.max_steps,
         options.seed,
         settings=options.set,
+        chairs=len(set(options.policies)) if options.together else 1,
     )
     suite = suite_from_file(file)
     with contextlib.ExitStack() as opened:

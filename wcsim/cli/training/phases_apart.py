@@ -7,7 +7,7 @@ stopped anywhere resumes from there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,7 +32,7 @@ from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.cli.training.clients import ClientProcessOptions, train_clients
 from wcsim.core.files import lock_run_folder
 from wcsim.core.reading import escape, pluralize
-from wcsim.errors import ConfigError, InterruptedRunError
+from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.server.launch.event_log import EventLogWriter
 from wcsim.towns.scenario.town import Town
 from wcsim.view.report.learning_curve import kpi1_of
@@ -43,9 +43,15 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.opening.list_file import HashedSuite
 
 
-Figures = Mapping[str, Mapping[str, float]]
+Figures = dict[str, dict[str, float]]
 """What was measured of each client after its first phase, by name, as choice.json has it."""
-_HEADS = {KPI1: f"KPI 1, last {KPI1_STEPS} steps", "score": "score", "crashes_own": "own crashes"}
+_HEADS = {
+    KPI1: f"KPI 1, last {KPI1_STEPS} steps",
+    "score": "score",
+    "crashes_own": "own crashes",
+    "ms": "ms",  # of a decision
+    "late_ms": "ms late",  # over `learn.select_ms`
+}
 
 
 def train_clients_in_phases(
@@ -134,17 +140,26 @@ def _choose(
     options: ClientProcessOptions, run: ResolvedGroupRun, by: str, suite: HashedSuite | None
 ) -> str:
     """Compare what each client learned in its first phase; the best one's name."""
+    from wcsim.agents.networks.costs import measure_network_cost  # loads torch
+
     log = EventLogWriter(run.out)
     log.add("first_phase_done", by=by)
     try:
         with lock_run_folder(run.out):
             figures = _followed(run) if suite is None else _tested(options, run, suite, by)
+            for client in run.clients:
+                eye, learn = client.config.eye, client.config.learn
+                try:
+                    ms = measure_network_cost(learn.network, eye.height_px, eye.width_px).p50_ms
+                except PolicyError:  # a custom one that takes other observations only
+                    ms = 0.0
+                figures[client.name] |= {"ms": ms, "late_ms": max(0.0, ms - learn.select_ms)}
             best = by if by in figures else _best_of(figures)
+            if best != by and figures[best]["late_ms"]:
+                print_note("all clients are slower than learn.select_ms: the fastest goes on")
             # The choice is made by all digits; the file is for people.
             figures = {
-                name: {
-                    key: round(figure, 4) if key == KPI1 else figure for key, figure in own.items()
-                }
+                name: {key: round(figure, 4) for key, figure in own.items()}
                 for name, own in figures.items()
             }
             used = {"list_sha256": suite.sha256} if suite else {}
@@ -182,9 +197,9 @@ def _tested(
         suite=suite, out=run.out / SELECTION, jobs=resolve_worker_count(options.worlds), forks=0
     )
     console = stderr_console()
-    by = f"{suite.file.suite} {suite.file.set}"
     console.print(
-        f"first phase done; comparing clients on {by}: {pluralize(suite.episodes, 'episode')} each"
+        f"first phase done; comparing clients on {suite.file.suite} {suite.file.set}: "
+        f"{pluralize(suite.episodes, 'episode')} each"
     )
 
     # The own code that each policy needs; all that need none share their processes.
@@ -216,28 +231,27 @@ def _policy_of(run: Path, client: str) -> str:
 def _figures_of(result: TestResult, run: Path, clients: Sequence[str]) -> Figures:
     """What a result says of the clients, in their order."""
     rows = {row.policy: row for row in result.pooled}
-    found = {name: rows[_policy_of(run, name)] for name in clients}
     return {
         name: {"score": row.score or 0.0, "crashes_own": row.crashes_own}
-        for name, row in found.items()
+        for name in clients
+        for row in (rows[_policy_of(run, name)],)
     }
 
 
 def _best_of(figures: Figures) -> str:
     """The client of the lowest KPI 1, or of the highest score, then the fewest own crashes.
 
-    Of equal ones it is the first.
+    Of equal ones it is the first. One that decides too slowly comes after all others, the slower
+    the later.
 
     >>> crashes = {"a": 2, "b": 1, "c": 1}
     >>> _best_of({name: {"score": 0.5, "crashes_own": own} for name, own in crashes.items()})
     'b'
     """
-
-    def rank(name: str) -> tuple[float, ...]:
-        own = figures[name]
-        return own.get(KPI1, 0.0), -own.get("score", 0.0), own.get("crashes_own", 0.0)
-
-    return min(figures, key=rank)
+    order = {"late_ms": 1.0, KPI1: 1.0, "score": -1.0, "crashes_own": 1.0}
+    return min(
+        figures, key=lambda name: [order[key] * figures[name].get(key, 0.0) for key in order]
+    )
 
 
 def _show(figures: Figures, best: str) -> None:

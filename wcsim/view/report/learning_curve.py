@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -71,7 +72,7 @@ class _LimitCrossing:
     step: int | None  # at which it first did; None where it never did
     last: float | None  # the last mean; None where there are fewer steps
     left: int | None = None  # the step since which it is above again
-    elapsed_s: float | None = None  # until `step`, of the sitting that it fell in
+    elapsed_s: float | None = None  # of training until `step`
 
     def told(self) -> str:
         """In words.
@@ -162,7 +163,11 @@ def crossing(rows: Sequence[TrainedSteps]) -> _LimitCrossing:
         return _LimitCrossing(step=None, last=last)
     left = rows[within[-1] + 1].step if within[-1] + 1 < len(rows) else None
     first = rows[within[0]]
-    return _LimitCrossing(step=first.step, last=last, left=left, elapsed_s=first.elapsed_s)
+    # A run that went on counts from 0 again: what the sittings before it took is in their last rows.
+    elapsed_s = first.elapsed_s + sum(
+        row.elapsed_s for row, after in pairwise(rows[: within[0] + 1]) if after.elapsed_s < row.elapsed_s
+    )
+    return _LimitCrossing(step=first.step, last=last, left=left, elapsed_s=elapsed_s)
 
 
 def kpi1_of(run: Path) -> float:

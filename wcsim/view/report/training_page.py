@@ -235,6 +235,7 @@ _SHOWN: Final = (
     *(("kpi1", "KPI 1"), ("kpi1_free_within", "obeyed"), ("kpi2_median", "KPI 2, median"), ("arrivals", "arrivals")),
 )
 _CONTINUES: Final = "second phase"
+_IN_TIME: Final = "of those that decide within learn.select_ms"
 _PAID: Final = (
     *("client", "acting s", "learning s", "waiting for the world s", "for others and messages s"),
     *("of both learning s", "idle s"),
@@ -266,7 +267,7 @@ def _compared(run: Path, exhibit: str) -> Exhibit:
     except (KeyError, TypeError, ValueError, AttributeError):
         raise PolicyError(f"{run / SELECTION / CHOICE}: is damaged; expected KPI 1 of each client") from None
     best, by = read_chosen_client_name(run, list(figures)), choice.get("by")
-    why = "The client with the lowest one continues" if by == KPI1 else f"The user chose {best}"
+    why = f"The client with the lowest one {_IN_TIME} continues" if by == KPI1 else f"The user chose {best}"
     return Exhibit(
         name=exhibit,
         title=f"{run.resolve().name}: KPI 1 of the first phase",
@@ -285,7 +286,7 @@ def _tested(run: Path, exhibit: str) -> Exhibit:
         name=exhibit,
         title=f"{run.resolve().name}: {result.suite} {result.set}",
         says=f"Each client after its first phase, tested on {result.set}; follow is the user alone. The client with "
-        f"the highest score continues. Details: wcsim report {shlex.quote(str(run / SELECTION))}",
+        f"the highest score {_IN_TIME} continues. Details: wcsim report {shlex.quote(str(run / SELECTION))}",
         columns=("client", *(heading for _, heading in _SHOWN), "learned on"),
         rows=[
             (name, *(_cell(getattr(row, key)) for key, _ in _SHOWN), _CONTINUES if name == best else "")

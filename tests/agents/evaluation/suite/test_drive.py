@@ -107,15 +107,17 @@ def test_what_a_policy_does_and_warns_of_is_judged_by_letting_the_user_drive_alo
 
 def test_users_requests_for_help_are_counted_and_raise_levels_where_that_is_set(corner, monkeypatch):
     monkeypatch.setattr(SimulatedUser, "look", _asks_after(SimulatedUser.look, 10))
-    found = []
+    found, without_levels = [], []
     for settings in ((), ("world.help_users=true", "world.help_s=0.5")):
         block = block_of(corner, max_steps=20, handover=5).model_copy(update={"settings": settings})
         policies = [Levels(0.0, 0.0), Levels(0.0, 0.0)]
         records = drive_block(*order_of(corner, block), iter(policies).__next__)
         assert [(record.helps, record.steps) for record in records] == [(1, 15), (1, 15)]
         found.append({tuple(policy.noted) for policy in policies})
+        without_levels += [record.m for record in drive_block(*order_of(corner, block), lambda: Held(0.0, 1.0))]
     plain, helped = found
     assert plain == {(1.0,) * 15} and helped == {(*[1.0] * 5, *[2.0] * 5, *[1.0] * 5)}
+    assert all(slow_m < 0.9 * m for m, slow_m in zip(without_levels[:2], without_levels[2:], strict=True))
 
 
 def _asks_after(look, steps):

@@ -129,14 +129,11 @@ def test_windows_have_bounds(window):
         resolve("dqn", (f"env.window={window}",))
 
 
-def test_the_papers_floats_have_no_window():
-    floats = "env.observation=table3"
-    assert resolve("dqn", (floats, "env.window=1")).env.frames == 1
-    with pytest.raises(ConfigError, match=r"window 2.*set env\.window=1, or env\.observation=compact"):
-        resolve("dqn", (floats, "env.window=2"))
-    with pytest.raises(ConfigError, match=r"window 4.*set env\.window=1"):
-        config = resolve("dqn", (floats, "learn.network=fig6"))
-        resolve(config, default_settings_for_network(config))
+def test_the_papers_floats_have_windows_and_a_state_has_none():
+    floats = resolve("dqn", ("env.observation=table3", "learn.network=fig6"))
+    assert resolve(floats, default_settings_for_network(floats)).env.frames == 4
+    with pytest.raises(ConfigError, match=r"window 2 with observation 'state'.*expected env\.window=1"):
+        resolve("dqn", ("env.observation=state", "env.window=2"))
 
 
 # --- replay ---

@@ -54,6 +54,7 @@ class Piece:
     town: str = ""  # a folder or a name
     settings: tuple[str, ...] = ()
     policy: str = ""
+    together: tuple[str, ...] = ()  # `policy` and others, which take turns in the seats; () for it alone
     network: str = ""
     preset: str = "quick"
     judged: bool = False  # forks say whether an intervention was needed
@@ -121,8 +122,10 @@ class _Seat:
         self._done_m = self._before_m = 0.0
         self._free = True
         self._actions, handover = action_set(config.env.actions), self._episode.handover_step
-        agent = _Handover(PolicyAgentAdapter(policy, config.world.users_help_ticks), handover, self._actions)
-        self._driver = AgentSeatDriver(config, agent, world.snapshot.clients[number])
+        agent = PolicyAgentAdapter(policy, self._actions, config.world.users_help_ticks)
+        self._driver = AgentSeatDriver(
+            config, _Handover(agent, handover, self._actions), world.snapshot.clients[number]
+        )
 
     def choose(self, now: ClientSnapshot) -> Joystick | None:
         """The stick of the policy, or of the user before the handover; none when it fails, which ends the episode."""

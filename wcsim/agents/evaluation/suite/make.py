@@ -267,8 +267,9 @@ def town_list(
     max_steps: int,
     seed: int,
     settings: tuple[str, ...] = (),
+    chairs: int = 1,
 ) -> SuiteFile:
-    """As many episodes for each town and user; a part of the list is one user in one town.
+    """As many episodes for each town and user, of so many chairs; a part of the list is one user in one town.
 
     An episode goes on from goal to goal until a crash or its last step. The first one's world has the seed itself.
     """
@@ -292,7 +293,7 @@ def town_list(
                     part=f"{_word(town.name)}, {user} user{again}",
                     town=name,
                     seed=seeding.derive_seed(seed, "episode", number) if number else seed % (1 << 31),
-                    episodes=(drawn,),
+                    episodes=(drawn,) * chairs,
                 )
             )
     named = tuple(SuiteTown(name=name, sha256=content_hash(town)) for town, name in zip(towns, listed, strict=True))

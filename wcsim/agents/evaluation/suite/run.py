@@ -58,6 +58,7 @@ class SuiteOrder:
     forks: int = 1 << 30  # episodes whose interventions are judged, evenly spread
     late_s: float = LATE_S
     hook: str = ""  # the user's own step hook, module:Class
+    together: tuple[str, ...] = ()  # policies that take turns in the seats of each block
 
 
 def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[str, tuple[EpisodeRecord, ...]]:
@@ -77,7 +78,8 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     judged = _judged_blocks(file.blocks, order.forks)
     kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]] = {}
     left: list[tuple[Piece, Path]] = []
-    digests = {name: _policy_digest(name, order) for name in policies}
+    chairs = {name: order.together if name in order.together else (name,) for name in policies}
+    digests = {names[0]: _policy_digest(names[0], order) for names in chairs.values()}
     for policy, digest in digests.items():
         for index in range(len(file.blocks)):
             path = _kept_path(order, index, digest)
@@ -87,8 +89,13 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
                 left.append((piece_of(order, index, policy, towns, judged=index in judged), path))
     _drive_all(order, left, kept, done, len(file.blocks))
     return {
-        policy: tuple(record for index in range(len(file.blocks)) for record in kept[policy, index])
-        for policy in digests
+        policy: tuple(
+            record
+            for index in range(len(file.blocks))
+            for record in kept[names[0], index]
+            if names[(record.block + record.seat) % len(names)] == policy
+        )
+        for policy, names in chairs.items()
     }
 
 
@@ -115,7 +122,7 @@ def _open_in(opened: ExitStack, name: str, config: RunConfig, seed: int, network
 
 def town_addresses(order: SuiteOrder) -> dict[str, str]:
     """Where the list's towns are, by name. Raises TownError, see `load_suite_towns`."""
-    return {name: str(town.address) for name, town in load_suite_towns(order.suite.file, order.out / TOWNS).items()}
+    return {name: town.address for name, town in load_suite_towns(order.suite.file, order.out / TOWNS).items()}
 
 
 def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str], judged: bool) -> Piece:
@@ -128,6 +135,7 @@ def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str
         town=towns.get(block.town, ""),
         settings=(*file.settings, *order.settings),
         policy=policy,
+        together=order.together if policy in order.together else (),
         network=order.network,
         preset=order.preset,
         judged=judged,
@@ -215,8 +223,8 @@ def _policy_at(name: str, at: ToLocalPath) -> str:
 
 def _drive_alone(piece: Piece, at: ToLocalPath) -> bytes:
     """Drive one block in this process, wherever that is; its records as JSON."""
-    where = {name: _policy_at(name, at) for name in (piece.policy,) if parse_policy_name(name).kind != "baseline"}
-    policy = where.get(piece.policy, piece.policy)
+    is_baseline = parse_policy_name(piece.policy).kind == "baseline"
+    policy = piece.policy if is_baseline else _policy_at(piece.policy, at)
     records = [record.to_json() for record in drive_piece(replace(piece, town=at(piece.town), policy=policy))]
     for record in records:
         record["reason"] = str(record["reason"]).replace(policy, piece.policy)  # it may name the policy
@@ -228,13 +236,18 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
     from wcsim.towns.scenario.town import find_town
 
     config = resolve_policy_config(piece.policy, piece.preset, piece.settings, in_list=True)
-    seeds = (seeding.derive_seed(piece.block.seed, "driver", seat) for seat in range(len(piece.block.episodes)))
+    seats, names = range(len(piece.block.episodes)), piece.together or (piece.policy,)
+    seeds = (seeding.derive_seed(piece.block.seed, "driver", seat) for seat in seats)
     with ExitStack() as opened, create_temporary_folder() as work:
         try:
-            config = resolve(
-                config, list_policy_overrides(config, _open_in(opened, piece.policy, config, 0, piece.network))
-            )
-            drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
+            for name in names:  # the street has the senses, and the longest window, of all
+                config = resolve(
+                    config, list_policy_overrides(config, _open_in(opened, name, config, 0, piece.network))
+                )
+            drivers = [
+                _open_in(opened, names[(piece.index + seat) % len(names)], config, seed, piece.network)
+                for seat, seed in enumerate(seeds)
+            ]
         except WcsimError as error:
             return refused(piece, str(error))
         place = make_block_setup(piece.block, config, lambda: find_town(piece.town), work)
@@ -248,6 +261,7 @@ def _policy_digest(name: str, order: SuiteOrder) -> str:
     own = {word: sha256_from_file(path) for word, path in (named | hooks).items()}
     said = [order.settings, order.forks, order.network, order.hook, own, hash_package_code()]
     said += _identity_of(name, order.preset)
+    said += [_identity_of(other, order.preset) for other in order.together if name in order.together]
     return sha256_from_text(json.dumps(said))
 
 

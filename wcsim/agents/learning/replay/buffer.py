@@ -420,7 +420,7 @@ class _ObservationLayout:
 
         The smallest first dimension of its images, where it divides them all; else 1.
         """
-        firsts = [shape[0] if len(shape) == 3 else 1 for _, shape in self.images] or [1]
+        firsts = [shape[0] if len(shape) > 2 else 1 for _, shape in self.images] or [1]
         return min(firsts) if all(first % min(firsts) == 0 for first in firsts) else 1
 
     @property
