@@ -1,7 +1,5 @@
 """The package as a whole: layers, names, start-up time, files no longer than they may be."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """Several chairs in one world for Gymnasium's vector form, observations without pictures, any stick, and copies."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 import runpy
@@ -122,7 +120,7 @@ def test_checkers_find_nothing_in_numbers_and_any_stick(corner, checker):
     assert [text for text in (str(item.message) for item in caught) if flat not in text] == []
 
 
-def test_rows_without_pictures_are_the_same_drive_in_either_kind_of_world(corner, made):
+def test_rows_without_pictures_are_the_same_drive_in_either_kind_of_world(made):
     """One world is in this process, the other one in its own; and no camera takes a picture."""
     one, other, pictured = (made(STICK, SHORT, *more) for more in ((STATE,), (STATE,), ()))
     _, infos = one.reset(seed=3)

@@ -55,7 +55,7 @@ def test_wrong_options_are_refused_at_once(measure, folder, words):
     assert files_in(folder) == set()
 
 
-def test_tick_gives_rate_and_shares(measure, folder, corner):
+def test_tick_gives_rate_and_shares(measure, corner):
     half_ticks = ("--set", "world.tick_s=0.05")
     told = measure("tick", "--town", corner, "--ticks", "20", "--chairs", "2", "--json", "b", *half_ticks)
     assert (told.code, told.err.strip()) == (0, "")
@@ -69,7 +69,7 @@ def test_tick_gives_rate_and_shares(measure, folder, corner):
     assert sum(row["share"].values()) == pytest.approx(1.0, abs=0.02)
 
 
-def test_camera_gives_the_ratio(measure, folder, corner):
+def test_camera_gives_the_ratio(measure, corner):
     words = ("--towns", corner, "--poses", "1", "--rounds", "1", "--actors", "5", "--json", "c.json")
     told = measure("camera", *words)
     well(told)

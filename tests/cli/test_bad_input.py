@@ -266,7 +266,7 @@ def test_a_scenario_of_ones_own_is_tested_in_unless_it_is_a_copy_of_a_training_t
 
 
 @pytest.mark.proof
-def test_the_town_of_a_run_is_refused_under_any_name(wcsim, folder, corner, tmp_path):
+def test_the_town_of_a_run_is_refused_under_any_name(wcsim, corner, tmp_path):
     assert wcsim("train-q", "--town", corner, "--out", "run", *SHORT_TRAINING).code == 0
     renamed = broken(corner, "unknown-key", tmp_path / "renamed")
     (renamed / "town.toml").write_text('name = "elsewhere"\nsplit = "test"\n')

@@ -56,7 +56,7 @@ def test_a_net_without_pavements(wcsim, folder, theirs):
     assert f"no walking areas; add pavements and crossings: wcsim town pave {theirs}/" in alone.out
 
 
-def test_a_net_without_crossings(wcsim, folder, theirs):
+def test_a_net_without_crossings(wcsim, theirs):
     put_net(theirs, *(word for word in PAVED if word != "--crossings.guess"))
     checked = wcsim("town", "check", theirs, "--json", "check.json")
     assert checked.code == 1
@@ -85,14 +85,14 @@ def test_a_net_that_was_never_projected(wcsim, folder, theirs):
     refused_at_once(wcsim, folder, theirs, "a.net.xml", "degrees", "with netconvert's option --proj.utm")
 
 
-def test_nobody_in_the_street(wcsim, folder, theirs):
+def test_nobody_in_the_street(wcsim, theirs):
     (theirs / "a.rou.xml").write_text("<routes/>", encoding="utf-8")
     ran = wcsim("town", "run", theirs, *RUN)
     assert ran.code == 0
     assert "no pedestrians: the demand has none" in one_line(ran) and "--pedestrians" in ran.out
 
 
-def test_polygons_of_another_town(wcsim, folder, theirs):
+def test_polygons_of_another_town(wcsim, theirs):
     house = '<poly id="h" type="building" color="red" fill="1" shape="9000,9000 9010,9000 9010,9010"/>'
     (theirs / "a.poly.xml").write_text(f"<additional>{house}</additional>", encoding="utf-8")
     change(theirs / "a.sumocfg", "a.add.xml", "a.add.xml,a.poly.xml")

@@ -56,7 +56,7 @@ def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def tiny(wcsim, folder, imported) -> Path:
+def tiny(wcsim, imported) -> Path:
     """A test town imported from a tiny extract."""
     town = Path("towns/tiny")
     if imported.is_dir():
@@ -71,7 +71,7 @@ def tiny(wcsim, folder, imported) -> Path:
     return town
 
 
-def test_town_list_shows_the_shipped_towns_and_ones_own(wcsim, folder, corner):
+def test_town_list_shows_the_shipped_towns_and_ones_own(wcsim, corner):
     result = wcsim("town", "list")
     assert (result.code, result.err) == (0, "")
     shown = re.findall(r"(\w[\w-]*) +│ (train|test|scene) ", result.out)
@@ -129,7 +129,7 @@ def test_test_writes_what_is_promised(wcsim, folder, corner):
     assert files_in(folder) == {"t.json"}
 
 
-def test_a_test_of_a_town_that_is_kept_is_a_list_of_its_own(wcsim, folder, corner):
+def test_a_test_of_a_town_that_is_kept_is_a_list_of_its_own(wcsim, corner):
     """It goes on, is driven again and reported as any list."""
     words = ("--town", corner, "--episodes", "2", "--max-steps", "8", "--only", "--out", "kept")
     assert wcsim("test", *words, *QUICK).code == 0
@@ -145,7 +145,7 @@ def test_a_test_of_a_town_that_is_kept_is_a_list_of_its_own(wcsim, folder, corne
     assert "--out FOLDER" in wcsim("test", "--town", corner, "--resume", "--only").err
 
 
-def test_long_names_of_policies_are_shown_whole(wcsim, folder, corner, tmp_path):
+def test_long_names_of_policies_are_shown_whole(wcsim, corner, tmp_path):
     run = tmp_path / "a-run-with-a-long-name-in-a-deep-folder" / "helsinki-paper-1"
     small = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
     trained = wcsim("train-q", "--town", corner, "--out", run, "--json", "train.json", *small)
@@ -164,7 +164,7 @@ def test_long_names_of_policies_are_shown_whole(wcsim, folder, corner, tmp_path)
 HOW = ("low", "high", "method", "source", "ok", "note", "judged")
 
 
-def test_chair_check_gives_rows_beside_their_ranges(wcsim, folder):
+def test_chair_check_gives_rows_beside_their_ranges(wcsim):
     result = wcsim("chair", "check", "--rows", "mass,stopping_6", "--workers", "1", "--json", "chair.json")
     well(result)
     plants = read("chair.json")["plants"]
@@ -176,7 +176,7 @@ def test_chair_check_gives_rows_beside_their_ranges(wcsim, folder):
             assert row["low"] <= row["value"] <= row["high"] and row["ok"]
 
 
-def test_chair_check_takes_settings_and_leaves_out_what_is_too_fast(wcsim, folder):
+def test_chair_check_takes_settings_and_leaves_out_what_is_too_fast(wcsim):
     plant = str(Path(__file__).parents[2] / "examples" / "fwd.toml")
     words = ("--set", "chair.yaw_rate_max_radps=1.0", "--rows", "turn_in,cruise_road", "--workers", "1", "--json", "x")
     result = wcsim("chair", "check", "--plants", plant, *words)
@@ -186,13 +186,13 @@ def test_chair_check_takes_settings_and_leaves_out_what_is_too_fast(wcsim, folde
     assert row["value"] == pytest.approx(1.0, rel=0.03) and row["bound"] == "stick"
 
 
-def test_chair_check_ends_with_1_when_a_row_is_red(wcsim, folder, monkeypatch):
+def test_chair_check_ends_with_1_when_a_row_is_red(wcsim, monkeypatch):
     monkeypatch.setattr(engine, "GRAVITY_MPS2", 9.0)
     result = wcsim("chair", "check", "--plants", "rwd", "--rows", "mass", "--workers", "1")
     assert result.code == 1 and "RED" in result.out
 
 
-def test_chair_check_compares_rates(wcsim, folder):
+def test_chair_check_compares_rates(wcsim):
     words = ("--plants", "rwd", "--rows", "mass", "--workers", "1", "--compare-hz", "120,240", "--json", "rates.json")
     result = wcsim("chair", "check", *words)
     well(result)
@@ -200,7 +200,7 @@ def test_chair_check_compares_rates(wcsim, folder):
     assert row["ok"] and row["change"] < 0.001 and len(row["values"]) == 2
 
 
-def test_chair_check_draws_the_plants(wcsim, folder):
+def test_chair_check_draws_the_plants(wcsim):
     result = wcsim("chair", "check", "--plants", "mwd", "--pictures", "drawn")
     assert (result.code, result.err) == (0, "")
     picture = cv2.imread("drawn/plant_mwd.png")
@@ -234,7 +234,7 @@ def test_video_holds_all_its_frames(wcsim, folder, corner):
     assert files_in(folder) == {"new", "new/film.webm"}
 
 
-def test_a_video_without_a_policy_shows_the_user_who_was_asked_for(wcsim, folder, corner):
+def test_a_video_without_a_policy_shows_the_user_who_was_asked_for(wcsim, corner):
     for words, who in (((), "competent"), (("--profile", "slow"), "slow")):
         result = wcsim("video", corner, "--seconds", "0.2", "--width", "80", *words)
         assert result.code == 0 and result.out.endswith(f"0.2 s, the user {who}\n")
@@ -264,14 +264,14 @@ def test_look_takes_a_picture_and_a_video_of_a_town(wcsim, folder, corner):
     assert street.shape == (540, 960, 3) and street.std() > 20.0
 
 
-def test_look_shows_no_chair_that_still_turns_towards_its_way(wcsim, folder, corner, monkeypatch):
+def test_look_shows_no_chair_that_still_turns_towards_its_way(wcsim, corner, monkeypatch):
     faces = chain([False, False], repeat(True))  # at the beginning, and after each tick
     monkeypatch.setattr(StillPictures, "on_way", property(lambda stills: next(faces)))
     result = wcsim("look", corner, "--seconds", "0.3")
     assert result.code == 0 and not re.search(r"after 0\.[01] s", result.out)
 
 
-def test_doctor_finds_this_machine_well(wcsim, folder, corner, monkeypatch):
+def test_doctor_finds_this_machine_well(wcsim, corner, monkeypatch):
     monkeypatch.setattr(doctor, "TICK_SECONDS", 0.2)
     result = wcsim("doctor", "--town", corner, "--json", "d.json")
     well(result)
@@ -281,7 +281,7 @@ def test_doctor_finds_this_machine_well(wcsim, folder, corner, monkeypatch):
     assert all(item["ok"] for item in found.values())
 
 
-def test_doctor_says_what_fails(wcsim, folder):
+def test_doctor_says_what_fails(wcsim):
     result = wcsim("doctor", "--town", "atlantis")
     assert result.code == 2
     assert "FAILS" in result.out

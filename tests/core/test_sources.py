@@ -1,7 +1,5 @@
 """What a module is made of: found in the text as Python's own parser finds it."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from importlib import metadata

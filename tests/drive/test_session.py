@@ -137,7 +137,7 @@ def test_after_a_crash_the_drive_goes_on_some_metres_before_it(session: DriveSes
 
 
 def test_a_crash_with_no_free_place_before_it_begins_elsewhere_and_says_so(
-    session: DriveSession, noted: Noted, monkeypatch: pytest.MonkeyPatch
+    session: DriveSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session.assist(False)
     session.face_way()

@@ -3,8 +3,6 @@
 `python -m tests.scenes.pinned` reads lines of JSON, a folder and a trace, and answers each with both and the facts.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """One planted fault for every scene: with it the scene no longer shows what it must, and has to say so."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ Golden traces of scenes pin short streets; these pin what only a town has: its t
 Whoever changes a world on purpose runs `python -m tests.scenes.test_pins` and takes over what it prints.
 """
 
-from __future__ import annotations
-
 import hashlib
 import sys
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`wcsim scene`: a scene of one's own from the first file to its golden trace, and what a wrong file is told."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Every shipped scene does what it must show, and does it as its golden trace says."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

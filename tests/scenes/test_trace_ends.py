@@ -1,7 +1,5 @@
 """The golden trace of a scene covers all of its ticks, however long it is."""
 
-from __future__ import annotations
-
 import re
 import shutil
 

@@ -1,7 +1,5 @@
 """Actors and users for the tests of this package."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A small kinematic world for user and oracle: the drive's limits on a flat plane, no physics engine."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Labels from crashes that happened: what they say, of what they know nothing, and that a fault in them is seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

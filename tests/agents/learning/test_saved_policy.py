@@ -176,7 +176,7 @@ class WithWheels(gymnasium.ObservationWrapper):
         return {**observation, "wheels": np.array([0.5, -0.25], np.float32)}
 
 
-def test_a_policy_says_which_further_sensors_it_reads_and_only_then(original, saved, tmp_path):
+def test_a_policy_says_which_further_sensors_it_reads_and_only_then(saved, tmp_path):
     assert "sensors" not in json.loads((saved / POLICY_JSON).read_text())
     env = WithWheels(ToyStreet(CAMERA))
     config = q_config(CAMERA, replay_frames=100)

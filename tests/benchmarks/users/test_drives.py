@@ -3,8 +3,6 @@
 A short sample always runs; the whole table is a proof.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The rows of the observation `state`, in a street whose every edge and wall is known."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

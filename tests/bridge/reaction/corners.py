@@ -5,8 +5,6 @@ follows them covers is reckoned twice: along the middle of the lanes, as SUMO le
 `bridge/reaction/wide_turns.py` lays out for it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Roads for tests of the reaction: straight lanes along x, without SUMO."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,7 +1,5 @@
 """Long vehicles follow their front in rigid pieces and don't cut corners."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Who looks for wheelchairs and how late they brake: by class, by street, and drawn for an episode of a chair."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

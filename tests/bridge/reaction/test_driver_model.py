@@ -1,7 +1,5 @@
 """Each link of the driver model's chain alone: plain values in, plain values out, no SUMO."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

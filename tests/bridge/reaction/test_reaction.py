@@ -1,7 +1,5 @@
 """The reaction on a small street with SUMO in it; the whole battery is `python -m benchmarks reaction`."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

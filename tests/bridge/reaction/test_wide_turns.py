@@ -1,7 +1,5 @@
 """Long vehicles take bends wide: off the pavement where there is room, at SUMO's own places everywhere else."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """People who walk by SUMO's JuPedSim: what holds of them, what does not, and that a scenario it dies of is refused."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from pathlib import Path
 

@@ -43,7 +43,7 @@ def test_a_run_is_verified_in_a_fresh_process(journaled, tmp_path):
     assert read(tmp_path / "told.json") == {"ticks": 150, "mismatches": 0, "first_mismatch": None}
 
 
-def test_a_changed_command_is_found_at_its_tick(wcsim, folder, changed):
+def test_a_changed_command_is_found_at_its_tick(wcsim, changed):
     result = wcsim("log", "verify", changed, "--epoch", 0, "--from", 11, "--to", 60, "--json", "told.json")
     written = read("told.json")
     assert result.code == 1, result
@@ -53,7 +53,7 @@ def test_a_changed_command_is_found_at_its_tick(wcsim, folder, changed):
     assert wcsim("log", "verify", changed / "journal", "--epoch", 0, "--to", 49).code == 0
 
 
-def test_a_journal_of_other_versions_says_so(wcsim, folder, journaled):
+def test_a_journal_of_other_versions_says_so(wcsim, journaled):
     header = read_header(journaled / "journal")
     records = map(record_to_bytes, iter_journal_inputs(journaled / "journal"))
     Path("journal").write_bytes(chained([header_to_bytes(with_fields(header, fingerprint="numpy-0")), *records]))
@@ -62,7 +62,7 @@ def test_a_journal_of_other_versions_says_so(wcsim, folder, journaled):
     assert "other versions, so results may differ: numpy-0" in result.err
 
 
-def test_the_first_difference_of_two_runs(wcsim, folder, journaled, changed):
+def test_the_first_difference_of_two_runs(wcsim, journaled, changed):
     result = wcsim("log", "compare", journaled, changed, "--json", "told.json")
     assert result.code == 1
     assert result.out.startswith("Ticked (epoch 0, tick 50): seat 0 is commanded (")
@@ -74,7 +74,7 @@ def test_the_first_difference_of_two_runs(wcsim, folder, journaled, changed):
     assert wcsim("log", "compare", trace, trace).code == 0
 
 
-def test_a_run_is_written_from_its_trace_or_else_from_its_journal(wcsim, folder, journaled):
+def test_a_run_is_written_from_its_trace_or_else_from_its_journal(wcsim, journaled):
     shutil.copy(journaled / "beside.trace", "trace")
     assert wcsim("log", "convert", "trace", "a.xml").out == "wrote a.xml: 90 time steps\n"
     result = wcsim("log", "convert", journaled, "b.xml", "--json", "told.json")
@@ -84,7 +84,7 @@ def test_a_run_is_written_from_its_trace_or_else_from_its_journal(wcsim, folder,
     assert wcsim("log", "convert", journaled, "c.xml", "--epoch", 1).out == "wrote c.xml: 60 time steps\n"
 
 
-def test_a_journal_is_written_for_ros_with_all_that_its_chairs_sensed(wcsim, folder, journaled):
+def test_a_journal_is_written_for_ros_with_all_that_its_chairs_sensed(wcsim, journaled):
     result = wcsim("log", "convert", journaled, "a.mcap", "--epoch", 1, "--json", "told.json")
     assert result.code == 0, result
     counts = read("told.json")["messages"]
@@ -98,7 +98,7 @@ def test_a_journal_is_written_for_ros_with_all_that_its_chairs_sensed(wcsim, fol
     assert Path("b.mcap").stat().st_size < Path("a.mcap").stat().st_size
 
 
-def test_a_drive_is_recorded_made_again_and_written_for_ros(wcsim, folder, corner):
+def test_a_drive_is_recorded_made_again_and_written_for_ros(wcsim, corner):
     words = ("users", "record", corner, "--minutes", 0.05, "--seed", 4, "--set", "world.warmup_s=0")
     slow = (*words, "--profile", "slow", "--out", "a.drive")
     assert wcsim(*slow).out.startswith("wrote a.drive: 30 ticks of a slow user in ")
@@ -121,7 +121,7 @@ def test_a_drive_is_recorded_made_again_and_written_for_ros(wcsim, folder, corne
     assert not Path("b.mcap").exists()
 
 
-def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
+def test_what_cannot_be_replayed_is_refused(wcsim, journaled):
     Path("empty").mkdir()
     Path("notes").write_text("hello")
     shutil.copy(journaled / "beside.trace", "trace")

@@ -21,7 +21,7 @@ def drive(tmp_path_factory) -> Path:
     return write_drive(tmp_path_factory.mktemp("drives") / "slow.drive", list(made.ticks))
 
 
-def test_a_drive_is_fitted_and_its_profile_taken(wcsim, folder, drive):
+def test_a_drive_is_fitted_and_its_profile_taken(wcsim, drive):
     result = wcsim("users", "fit", drive, "--out", "my user.toml", "--base", "slow", "--json", "told.json")
     assert result.code == 0, result
     assert "reaction_s" in result.out
@@ -37,7 +37,7 @@ def test_a_drive_is_fitted_and_its_profile_taken(wcsim, folder, drive):
     assert "# 95 %: " in Path("my user.toml").read_text()
 
 
-def test_a_folder_of_stick_tables_is_a_person(wcsim, folder):
+def test_a_folder_of_stick_tables_is_a_person(wcsim):
     for number, name in enumerate(("ann", "bob", "eve")):
         Path(name).mkdir()
         stick = driven(replace(find_builtin_profile("competent"), noise=0.01), number, 45.0)
@@ -53,7 +53,7 @@ def test_a_folder_of_stick_tables_is_a_person(wcsim, folder):
     refused(wcsim("users", "fit", "ann", "no.csv", "--out", "a.toml"), "no.csv: cannot be read")
 
 
-def test_what_cannot_be_fitted_is_refused(wcsim, folder, drive):
+def test_what_cannot_be_fitted_is_refused(wcsim, drive):
     write_drive(Path("short.drive"), list(plane_drive(find_builtin_profile("competent"), 2.0, 1).ticks))
     Path("notes.txt").write_text("hello")
     Path("mine.toml").write_text("changed by hand")

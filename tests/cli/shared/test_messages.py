@@ -18,7 +18,7 @@ from wcsim.log.framing import iter_whole_records
 SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
 
 
-def test_a_number_that_is_none_is_named_in_words(wcsim, folder):
+def test_a_number_that_is_none_is_named_in_words(wcsim):
     for words, told in (
         ("train-q --steps 10x", "--steps: got '10x', expected a whole number"),
         ("train --seed 1.5", "--seed: got '1.5', expected a whole number"),
@@ -39,7 +39,7 @@ def test_a_scenario_that_is_not_there_is_said_to_be_missing(wcsim, folder, words
     refused(wcsim(*words.format("some/folder").split()), "some/folder: there is no such folder", "with a .sumocfg")
 
 
-def test_an_item_that_a_list_has_not_is_named_with_those_it_has(wcsim, folder):
+def test_an_item_that_a_list_has_not_is_named_with_those_it_has(wcsim):
     given = "train --set cameras.3.hfov_deg=90"
     refused(wcsim(*given.split()), "cameras.3: there is no such item, the list cameras has 1", "expected cameras.0;")
     refused(wcsim("train", "--set", "cameras.hfov_deg=90"), "cameras.hfov_deg: there is no such item", "[[cameras]]")
@@ -58,7 +58,7 @@ def first_record(trace: bytes) -> int:
     return next(iter_whole_records(io.BytesIO(trace))).end
 
 
-def test_a_trace_that_was_cut_off_is_said_to_be(wcsim, folder, corner):
+def test_a_trace_that_was_cut_off_is_said_to_be(wcsim, corner):
     assert wcsim("town", "run", corner, "--seconds", "1", "--chairs", "0", "--out", "run").code == 0
     whole = Path("run/trace").read_bytes()
     for length, told in ((20, "or was truncated in its first record"), (first_record(whole) + 9, "no complete tick")):
@@ -69,7 +69,7 @@ def test_a_trace_that_was_cut_off_is_said_to_be(wcsim, folder, corner):
     assert not Path("x.xml").exists()
 
 
-def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_that(wcsim, folder, corner):
+def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_that(wcsim, corner):
     for name in ("own_network.py", "own_reward.py"):
         shutil.copy(ROOT / "examples" / name, name)
     words = ("--network", "own_network:OwnNet", "--out", "runs/my own", "--town", corner)
@@ -97,7 +97,7 @@ def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_th
         assert open_place(start, held).policy.name == "runs/my own"
 
 
-def test_a_run_of_wcsims_own_network_needs_no_name(wcsim, folder, corner):
+def test_a_run_of_wcsims_own_network_needs_no_name(wcsim, corner):
     trained = wcsim("train-q", "--out", "run", "--town", corner, *SMALL, "--set", "learn.episode_steps=3")
     assert trained.out.rstrip().endswith("test it: wcsim test run --town monaco")
     assert "note:" not in trained.err

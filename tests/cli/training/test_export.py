@@ -42,7 +42,7 @@ def lacking(told: str) -> list[str]:
     return shlex.split(told.partition("the same command and ")[2].partition(", or with")[0])
 
 
-def test_a_missing_extra_is_told_before_anything_is_driven(wcsim, policy, folder, monkeypatch):
+def test_a_missing_extra_is_told_before_anything_is_driven(wcsim, policy, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
     monkeypatch.setattr(export, "_ride", lambda _: pytest.fail("it was driven"))
     refused(wcsim("export", policy, "--onnx", "x"), "pip install 'wcsim[train]'")
@@ -65,7 +65,7 @@ def test_a_network_that_looks_at_pictures_is_not_exported_whoever_made_its_eye(w
     assert "--network" not in told.err and not Path("x").exists()
 
 
-def test_a_run_that_is_not_there_is_not_taken_for_a_baseline(wcsim, folder):
+def test_a_run_that_is_not_there_is_not_taken_for_a_baseline(wcsim):
     told = wcsim("export", "runs/a", "--onnx", "x")
     refused(told, "runs/a is not a run", "`wcsim train` made")
     assert "dwa" not in told.err and "did you mean" not in told.err

@@ -56,7 +56,7 @@ def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, tmp_pat
         assert open_run(tmp_path / preset).config == config
 
 
-def test_a_run_of_wcsim_join_is_told_to_join_again(run, corner):
+def test_a_run_of_wcsim_join_is_told_to_join_again(run):
     joined = make_run_manifest(RunConfig(), RunInfo(seed=1, command=("wcsim", "join", "ipc:///x")))
     path = create_run_folder(run.parent / "joined", RunConfig(), joined).path
     with pytest.raises(PolicyError, match="wcsim join ipc:///x --resume"):

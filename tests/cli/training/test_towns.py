@@ -55,7 +55,7 @@ def test_towns_take_turns_and_resume_goes_on_with_them(wcsim, folder, corner, ot
     assert name in page and other.name in page
 
 
-def test_a_served_world_changes_town_as_a_training_does(wcsim, folder, corner, other, monkeypatch):
+def test_a_served_world_changes_town_as_a_training_does(wcsim, corner, other, monkeypatch):
     def plan(order, *place):
         raise ConfigError(f"{order.town} then {order.more_towns}")
 

@@ -1,7 +1,5 @@
 """Errors about whole things: their rates, how long they last, where they come from, and that nothing is kept."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import replace

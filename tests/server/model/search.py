@@ -1,7 +1,5 @@
 """Breadth first through all states: safety on the way, progress at the end."""
 
-from __future__ import annotations
-
 import time
 from array import array
 from collections import deque

@@ -1,7 +1,5 @@
 """Drives of simulated users over a plane with turns and stops: minutes of them in seconds, to fit without a world."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A recorded user is fitted: what it was drawn with is found, what cannot be found is named, and the file drives."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, replace
 

@@ -1,7 +1,5 @@
 """The likelihood of a hand is that of its law, written out; Newton's method finds what it should, and how surely."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
