@@ -12,7 +12,7 @@ import wcsim
 from tests.support.tracked import ROOT
 
 PACKAGE = Path(wcsim.__file__).parent
-CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
 FORBIDDEN = [
     contract
     for contract in CONTRACTS
@@ -47,11 +47,11 @@ def test_a_file_planted_in_any_folder_is_seen(copy: Path) -> None:
     """It imports everything that has an owner; each import must be broken where it is no exception."""
     folders = sorted({path.parent for path in copy.rglob("*.py")})
     for folder in folders:
-        (folder / "planted.py").write_text("".join(f"import {library}\n" for library in LIBRARIES), encoding="utf-8")
+        (folder / "planted.py").write_text("".join(f"import {library}\n" for library in LIBRARIES))
     deep = copy / "wcsim" / "bridge" / "deep"
     deep.mkdir()
-    (deep / "__init__.py").write_text("", encoding="utf-8")
-    (deep / "planted.py").write_text("import pybullet\nimport libsumo\n", encoding="utf-8")
+    (deep / "__init__.py").write_text("")
+    (deep / "planted.py").write_text("import pybullet\nimport libsumo\n")
     told = " ".join(lint(copy).split())
     owners = allowed()
     for folder in folders:
@@ -65,13 +65,13 @@ def test_a_file_planted_in_any_folder_is_seen(copy: Path) -> None:
 
 
 def test_a_step_up_is_seen_and_so_is_an_exception_that_nothing_needs(copy: Path) -> None:
-    (copy / "wcsim" / "towns" / "planted.py").write_text("def f():\n    import wcsim.view.map\n", encoding="utf-8")
+    (copy / "wcsim" / "towns" / "planted.py").write_text("def f():\n    import wcsim.view.map\n")
     assert "wcsim.towns is not allowed to import wcsim.view" in lint(copy)
     project = copy / "pyproject.toml"
-    text = project.read_text(encoding="utf-8")
+    text = project.read_text()
     rule = '"wcsim.physics.bullet -> pybullet"'
     assert rule in text
-    project.write_text(text.replace(rule, f'{rule}, "wcsim.view.map -> pybullet"'), encoding="utf-8")
+    project.write_text(text.replace(rule, f'{rule}, "wcsim.view.map -> pybullet"'))
     assert "wcsim.view.map -> pybullet" in lint(copy)
 
 

@@ -12,7 +12,7 @@ from packaging.specifiers import SpecifierSet
 
 from tests.support.tracked import ROOT, parsed
 
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 OWN = {"wcsim", "benchmarks", "tests", "tools", "examples"}
 STARTED = {"ruff", "mypy", "import-linter", "pytest", "pytest-timeout", "pytest-xdist", "build", "hatchling"}
 STARTED |= {"mkdocs-material", "mkdocstrings-python"}
@@ -69,7 +69,7 @@ def test_declared_is_imported() -> None:
 
 
 def test_constraints_pin_all_that_is_declared() -> None:
-    pinned = named((ROOT / "constraints.txt").read_text(encoding="utf-8").split())
+    pinned = named((ROOT / "constraints.txt").read_text().split())
     assert named(PROJECT["project"]["dependencies"]) | named(PROJECT["dependency-groups"]["dev"]) <= pinned
     assert pinned >= EXTRAS
 
@@ -78,7 +78,7 @@ def test_the_oldest_python_that_is_asked_for_can_install_all_that_is_pinned() ->
     """Debian 12 has Python 3.11.2: one package that asks for a newer 3.11 and `make setup` ends there."""
     oldest = PROJECT["project"]["requires-python"].partition(",")[0].removeprefix(">=") + ".0"
     asked = {}
-    for name in named((ROOT / "constraints.txt").read_text(encoding="utf-8").split()):
+    for name in named((ROOT / "constraints.txt").read_text().split()):
         with suppress(PackageNotFoundError):  # what only other machines need
             asked[name] = SpecifierSet(str(metadata(name).json.get("requires_python", "")))
     assert len(asked) > 100

@@ -23,7 +23,7 @@ FORBIDDEN_WORDS = re.compile(r"\b(pickle|cloudpickle|load|eval|exec)\b")  # that
 @cache
 def texts() -> dict[str, str]:
     """What the files of the package say."""
-    return {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in SOURCES}
+    return {str(path.relative_to(ROOT)): path.read_text() for path in SOURCES}
 
 
 def trees() -> dict[str, ast.Module]:
@@ -292,7 +292,7 @@ def not_there(text: str, here: Path) -> list[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_files_that_a_page_names_are_there(page):
-    assert not_there(page.read_text(encoding="utf-8"), page.parent) == []
+    assert not_there(page.read_text(), page.parent) == []
 
 
 def test_files_that_docstrings_name_are_there():
@@ -315,6 +315,6 @@ def test_what_git_ignores_stays_out_of_the_image():
     """Results of hours and caches of tools are no part of wcsim, and every change in them builds it anew."""
 
     def ignored(file: str) -> set[str]:
-        return {line.removeprefix("**/").strip("/") for line in (ROOT / file).read_text(encoding="utf-8").splitlines()}
+        return {line.removeprefix("**/").strip("/") for line in (ROOT / file).read_text().splitlines()}
 
     assert ignored(".gitignore") <= ignored(".dockerignore")

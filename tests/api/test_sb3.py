@@ -79,4 +79,4 @@ def test_a_model_of_sb3_is_a_policy_for_tests(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["own_network.py", "own_reward.py"])
 def test_examples_are_short(name):
-    assert len((EXAMPLES / name).read_text(encoding="utf-8").splitlines()) <= 15
+    assert len((EXAMPLES / name).read_text().splitlines()) <= 15

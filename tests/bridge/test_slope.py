@@ -44,7 +44,7 @@ def slope(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     net.write_bytes(gzip.compress(hilly(plain, plain, land_m).read_bytes()))
     plain.unlink()
     (routes,) = town.glob("*.rou.xml")
-    routes.write_text(RIDERS, encoding="utf-8")
+    routes.write_text(RIDERS)
     return town
 
 

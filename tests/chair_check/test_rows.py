@@ -117,8 +117,8 @@ def test_rows_of_another_kind_of_chair_judge_no_other(plant, judged):
 
 
 def test_a_chair_too_weak_to_hold_its_heading_is_told_so(tmp_path):
-    weak = Path(FWD).read_text(encoding="utf-8").replace("stall_torque_Nm = 90.0", "stall_torque_Nm = 25.0")
-    (tmp_path / "weak.toml").write_text(weak, encoding="utf-8")
+    weak = Path(FWD).read_text().replace("stall_torque_Nm = 90.0", "stall_torque_Nm = 25.0")
+    (tmp_path / "weak.toml").write_text(weak)
     setup = TrialSetup(chair=ChairConfig(plant=str(tmp_path / "weak.toml")), hz=120)
     (row,) = run_plant_trials(setup, ("cross",))
     assert row.red and row.note.startswith(("lost its heading after", "stood still after")) and row.value < 8.0

@@ -97,4 +97,4 @@ def files_in(folder: Path) -> set[str]:
 
 def parsed(path: Path | str) -> Any:
     """What a JSON file says."""
-    return json.loads(Path(path).read_text(encoding="utf-8"))
+    return json.loads(Path(path).read_text())

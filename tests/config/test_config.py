@@ -24,7 +24,7 @@ def test_a_shared_world_lives_for_ten_episodes(preset):
 def test_the_table_of_presets_is_that_of_the_page(capsys):
     assert main(["train-q", "--preset"]) == 0
     table = capsys.readouterr().out
-    assert table in (ROOT / "docs" / "learning.md").read_text(encoding="utf-8")
+    assert table in (ROOT / "docs" / "learning.md").read_text()
     told = re.findall(r"^\| `(\w+)` .*? \| ([\d,]+) \|", table, re.MULTILINE)
     assert [name for name, _ in told] == ["quick", "laptop", "best", "reward", "dqn", "paper"]
     for name, steps in told:

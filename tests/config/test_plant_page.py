@@ -9,7 +9,7 @@ from wcsim.config import ChairConfig
 from wcsim.config.base import _UNITS
 from wcsim.config.plant import PlantFile, list_plants, read_plant
 
-PAGE = (ROOT / "docs" / "chair.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "chair.md").read_text()
 
 
 def fields(model=PlantFile, before=""):

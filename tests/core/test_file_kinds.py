@@ -43,7 +43,7 @@ def read_them(reader: str, path: Path, shares: list[float]) -> None:
     read, kind = READERS[reader]
     for name, text in CHEAP.items():
         for share in shares:
-            path.write_text(text(int(share * kind.limit_bytes) - 100), encoding="utf-8")
+            path.write_text(text(int(share * kind.limit_bytes) - 100))
             if not (child := os.fork()):
                 had_mib, begun_s, said = most_mib(), time.process_time(), "read"
                 try:

@@ -48,16 +48,16 @@ def kernels(module: ModuleType) -> list[object]:
 
 
 def change(path: Path, old: str, new: str) -> None:
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text()
     assert text.count(old) == 1, old
-    path.write_text(text.replace(old, new), encoding="utf-8")
+    path.write_text(text.replace(old, new))
 
 
 def test_a_caller_follows_the_kernels_and_constants_of_other_files(tmp_path: Path) -> None:
     own = tmp_path / "own"
     own.mkdir()
     for name, text in OWN.items():
-        (own / f"{name}.py").write_text(text, encoding="utf-8")
+        (own / f"{name}.py").write_text(text)
 
     def answers() -> list[object]:
         words = [sys.executable, "-B", "-c", CODE]  # a .pyc does not notice two edits within a second
@@ -78,7 +78,7 @@ def test_a_caller_follows_the_kernels_and_constants_of_other_files(tmp_path: Pat
 
 def test_every_kernel_says_what_is_frozen_into_it() -> None:
     """Whatever a kernel names can be told, so none is compiled from an old copy; 73 kernels and more."""
-    homes = [path for path in ROOT.rglob("*.py") if "from wcsim.core.jit import" in path.read_text(encoding="utf-8")]
+    homes = [path for path in ROOT.rglob("*.py") if "from wcsim.core.jit import" in path.read_text()]
     digests = []
     for path in homes:
         name = ".".join(path.relative_to(ROOT.parent).with_suffix("").parts)
@@ -174,7 +174,7 @@ def test_a_forked_copy_of_a_process_compiles_what_nobody_has_compiled_yet(tmp_pa
     cold = (
         "from wcsim.core.jit import compile_exact_kernel\n\n\n@compile_exact_kernel\ndef plus(x):\n    return x + 1.0\n"
     )
-    (tmp_path / "cold.py").write_text(cold, encoding="utf-8")
+    (tmp_path / "cold.py").write_text(cold)
     done = subprocess.run([sys.executable, "-c", FORKED], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 

@@ -15,7 +15,7 @@ BETWEEN = "import wcsim, gymnasium.envs.registration, gymnasium"
 
 @pytest.fixture
 def late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    (tmp_path / "late_library.py").write_text("value = 3\n", encoding="utf-8")
+    (tmp_path / "late_library.py").write_text("value = 3\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
     monkeypatch.delitem(sys.modules, "late_library", raising=False)

@@ -28,7 +28,7 @@ def parsed(node: ast.AST) -> Iterator[tuple[str, str, str]]:
 @pytest.mark.parametrize("folder", sorted({path.parent.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py")}))
 def test_imports_are_read_as_python_reads_them(folder: str) -> None:
     for path in (ROOT / folder).glob("*.py"):
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text()
         found = sources._imports(sources._FOR_TYPES_ALONE.sub("", text))
         assert sorted(found) == sorted(parsed(ast.parse(text))), path
 
@@ -45,7 +45,7 @@ def test_only_what_is_needed_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     for name, text in texts.items():
         path = tmp_path / "wcsim" / f"{name}.py"
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text)
     monkeypatch.setattr(sources, "_ROOT", tmp_path)
     found = sources.find_imported_source_files("wcsim.a")
     assert [path.relative_to(tmp_path / "wcsim").as_posix() for path in found] == [

@@ -42,6 +42,6 @@ PLANTED = (
 def plant(folder: Path, fault: Planted) -> None:
     """Change a copy of the scene; the pattern must be there."""
     path = folder / fault.file
-    text, count = re.subn(fault.pattern, fault.instead, path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    text, count = re.subn(fault.pattern, fault.instead, path.read_text(), flags=re.MULTILINE)
     assert count, f"{fault.file} has no {fault.pattern!r}"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)

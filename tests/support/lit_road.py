@@ -26,6 +26,6 @@ def lit_road(folder: Path, kind: str = "actuated") -> Town:
     source = folder / "source"
     source.mkdir()
     for name, text in _FILES.items():
-        (source / name).write_text(text.replace("{kind}", kind), encoding="utf-8")
+        (source / name).write_text(text.replace("{kind}", kind))
     town, _ = build_scene(source, folder / "town")
     return town

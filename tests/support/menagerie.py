@@ -71,8 +71,8 @@ def build_street(folder: Path, routes: str, additional: str = "", kind: str = "p
         "add": f"<additional>{additional}</additional>",
     }
     for name, text in texts.items():
-        (source / f"street.{name}.xml").write_text(text, encoding="utf-8")
-    (source / "scene.toml").write_text(SCENE, encoding="utf-8")
+        (source / f"street.{name}.xml").write_text(text)
+    (source / "scene.toml").write_text(SCENE)
     town, _ = build_scene(source, folder / "built")
     return town.sumocfg
 

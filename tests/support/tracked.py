@@ -13,7 +13,7 @@ def tracked(under: str = "", suffix: str = "") -> tuple[Path, ...]:
     """Files that git tracks in a folder, sorted; in an unpacked source archive all that git would not ignore."""
     git = ROOT / ".git"
     if not git.exists():
-        ignored = {line.strip("/") for line in (ROOT / ".gitignore").read_text(encoding="utf-8").splitlines()}
+        ignored = {line.strip("/") for line in (ROOT / ".gitignore").read_text().splitlines()}
         names = [path.relative_to(ROOT) for path in (ROOT / under).rglob("*") if "__pycache__" not in path.parts]
         found = {ROOT / name for name in names if name.parts[0] not in ignored}
     else:
@@ -26,4 +26,4 @@ def tracked(under: str = "", suffix: str = "") -> tuple[Path, ...]:
 @cache
 def parsed(under: str) -> dict[str, ast.Module]:
     """The syntax trees of a folder's Python files, by their path in the repository."""
-    return {str(path.relative_to(ROOT)): ast.parse(path.read_text(encoding="utf-8")) for path in tracked(under, ".py")}
+    return {str(path.relative_to(ROOT)): ast.parse(path.read_text()) for path in tracked(under, ".py")}

@@ -25,7 +25,7 @@ def typed(command: str, folder: Path) -> tuple[int, str]:
     """Its exit status and all that it says, run where only `wcsim` is on the PATH."""
     script = f'#!/bin/sh\nexec {sys.executable} -m wcsim "$@"\n'
     (folder / "bin").mkdir(exist_ok=True)
-    (folder / "bin" / "wcsim").write_text(script, encoding="utf-8")
+    (folder / "bin" / "wcsim").write_text(script)
     (folder / "bin" / "wcsim").chmod(0o755)
     kept = {key: value for key, value in os.environ.items() if key in ("HOME", "XDG_CACHE_HOME", "OMP_NUM_THREADS")}
     environment = {**kept, "PATH": f"{folder / 'bin'}:/usr/bin:/bin", "PYTHONPATH": str(ROOT), "COLUMNS": "80"}

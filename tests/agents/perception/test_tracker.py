@@ -15,8 +15,12 @@ from wcsim.agents.perception.clusters import (
     make_class_mobility_table,
     mask_points_near_cells,
 )
-from wcsim.agents.perception.clusters import X as AT_X
-from wcsim.agents.perception.clusters import Y as AT_Y
+from wcsim.agents.perception.clusters import (
+    X as AT_X,
+)
+from wcsim.agents.perception.clusters import (
+    Y as AT_Y,
+)
 from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.agents.perception.tracker import MoverTracker
 from wcsim.config import CameraConfig

@@ -86,7 +86,7 @@ def files(folder: str = "wcsim") -> float:
 
 def text_lines(*suffixes: str) -> float:
     """Lines with something on them, in the package's files of these kinds."""
-    texts = [path.read_text(encoding="utf-8") for suffix in suffixes for path in tracked("wcsim", suffix)]
+    texts = [path.read_text() for suffix in suffixes for path in tracked("wcsim", suffix)]
     return sum(bool(line.strip()) for text in texts for line in text.splitlines())
 
 
@@ -117,7 +117,7 @@ def settings() -> float:
 
 def words_of_docs() -> float:
     """Words below `docs/` that are written by hand."""
-    return sum(words(page.read_text(encoding="utf-8")) for page in pages() if page.is_relative_to(ROOT / "docs"))
+    return sum(words(page.read_text()) for page in pages() if page.is_relative_to(ROOT / "docs"))
 
 
 def formats() -> list[str]:
@@ -190,7 +190,7 @@ def _sources(folder: str) -> list[tuple[str, str]]:
     """(dotted name below the folder, text) of each Python file."""
     place = ROOT / folder
     paths = tracked(folder, ".py") if place.is_dir() else ()
-    return [(".".join(p.relative_to(place).with_suffix("").parts), p.read_text(encoding="utf-8")) for p in paths]
+    return [(".".join(p.relative_to(place).with_suffix("").parts), p.read_text()) for p in paths]
 
 
 @cache

@@ -6,7 +6,7 @@ import tomllib
 
 from tests.support.tracked import ROOT, parsed
 
-LIST = tomllib.loads((ROOT / "tests/api/ceilings/words.toml").read_text(encoding="utf-8"))
+LIST = tomllib.loads((ROOT / "tests/api/ceilings/words.toml").read_text())
 
 
 def names(tree: ast.Module) -> set[str]:

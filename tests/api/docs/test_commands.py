@@ -47,7 +47,7 @@ def commands(text: str) -> list[list[str]]:
     return found
 
 
-SHOWN = [(path, words) for path in PAGES for words in commands(path.read_text(encoding="utf-8"))]
+SHOWN = [(path, words) for path in PAGES for words in commands(path.read_text())]
 
 
 def run(words: list[str]) -> int:
@@ -108,12 +108,12 @@ def test_a_setting_that_there_is_not_is_noticed() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_a_page_installs_extras_of_the_wheel_for_no_index_has_wcsim(page: Path) -> None:
-    assert not re.findall(r"pip install '?wcsim\b(?!-)", page.read_text(encoding="utf-8"))
+    assert not re.findall(r"pip install '?wcsim\b(?!-)", page.read_text())
 
 
 OPTION = re.compile(r"--[a-z][a-z-]+")
 TOLD = re.compile(rf"`((?:wcsim|{PROGRAM}) [a-z][^`]*--[^`]*)`")
-INLINE = {found for page in PAGES for found in TOLD.findall(page.read_text(encoding="utf-8"))}
+INLINE = {found for page in PAGES for found in TOLD.findall(page.read_text())}
 A_MISTAKE = "wcsim test --polcy x"  # of `docs/results.md`, which says what a refusal costs
 
 

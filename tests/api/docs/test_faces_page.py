@@ -10,7 +10,7 @@ from tests.server.servers import Server, stand_in_order
 from wcsim.config import resolve
 from wcsim.server.protocol.events import ServerRules
 
-PAGE = (Path(__file__).parents[3] / "docs" / "faces.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "faces.md").read_text()
 EXAMPLES = re.findall(r"^## (.+?)\n.*?^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 NO_WARMUP = 'overrides=("world.warmup_s=0", "env.max_steps=20")'
 
@@ -18,7 +18,7 @@ NO_WARMUP = 'overrides=("world.warmup_s=0", "env.max_steps=20")'
 def run(code: str, folder: Path) -> None:
     """As a script of its own; a warning is an error here too."""
     file = folder / "example.py"
-    file.write_text(code, encoding="utf-8")
+    file.write_text(code)
     runpy.run_path(str(file), run_name="__main__")
 
 

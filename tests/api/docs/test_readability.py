@@ -13,14 +13,14 @@ MOST_LINES = {"AGENTS.md": 60}
 
 @pytest.mark.parametrize("page", readability.pages(), ids=lambda page: str(page.relative_to(ROOT)))
 def test_sentences_are_short(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
+    text = page.read_text()
     assert [(count, said) for count, said in readability.lengths(text) if count > readability.LONGEST] == []
     assert readability.row(page)[2] < readability.MEAN
 
 
 def test_pages_are_short() -> None:
     assert {name: n for name in MOST_WORDS if (n := readability.row(ROOT / name)[0]) > MOST_WORDS[name]} == {}
-    lines = {name: len((ROOT / name).read_text(encoding="utf-8").splitlines()) for name in MOST_LINES}
+    lines = {name: len((ROOT / name).read_text().splitlines()) for name in MOST_LINES}
     assert {name: n for name, n in lines.items() if n > MOST_LINES[name]} == {}
 
 

@@ -30,10 +30,10 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.timeout(1200)  # a few seconds of processor time, which a busy machine gives slowly
 def test_the_site_builds_without_a_warning_and_asks_for_nothing_from_outside(site: Path) -> None:
-    pages = {path: path.read_text(encoding="utf-8") for path in site.rglob("*.html")}
+    pages = {path: path.read_text() for path in site.rglob("*.html")}
     assert len(pages) > 50
     assert {str(path): found for path, text in pages.items() if (found := FROM_OUTSIDE.findall(text))} == {}
-    styles = [path.read_text(encoding="utf-8") for path in site.rglob("*.css")]
+    styles = [path.read_text() for path in site.rglob("*.css")]
     assert not [text for text in styles if re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", text)]
     assert not [path for path, text in pages.items() if 'class="mermaid"' in text]  # its script comes from elsewhere
     assert 'href="site.css"' in pages[site / "drive.html"] and "pre-wrap" in (site / "site.css").read_text("utf-8")
@@ -42,13 +42,13 @@ def test_the_site_builds_without_a_warning_and_asks_for_nothing_from_outside(sit
 
 @pytest.mark.timeout(1200)
 def test_every_name_of_the_api_page_leads_to_its_signature(site: Path) -> None:
-    rows = re.findall(r"^\| `(?!\.)([\w.]+)` \|", (ROOT / "docs" / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
-    page = (site / "api.html").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(?!\.)([\w.]+)` \|", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE)
+    page = (site / "api.html").read_text()
     targets = re.findall(r'href="(names/[^"#]+)#([^"]+)"', page)
     assert len(targets) >= len(rows) > 100
     for name, anchor in set(targets):
-        assert f'id="{anchor}"' in (site / name).read_text(encoding="utf-8")
-    actors = (site / "names" / "wcsim-types.html").read_text(encoding="utf-8")
+        assert f'id="{anchor}"' in (site / name).read_text()
+    actors = (site / "names" / "wcsim-types.html").read_text()
     assert "sideways offset that the bridge added to SUMO's pose" in actors  # a field's comment is its text
 
 

@@ -23,7 +23,7 @@ SHORTER = (
 
 
 def code_of(page: Path, language: str = "python") -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
 
 
 def small(code: str, corner: Path) -> str:
@@ -36,7 +36,7 @@ def small(code: str, corner: Path) -> str:
 def run(code: str, folder: Path) -> str:
     """What it prints, as a script of its own in this folder; a warning is an error here too."""
     file = folder / "tutorial.py"
-    file.write_text(code, encoding="utf-8")
+    file.write_text(code)
     with chdir(folder), redirect_stdout(io.StringIO()) as told:
         runpy.run_path(str(file), run_name="__main__")
     return told.getvalue()
@@ -50,10 +50,10 @@ def test_the_environment_of_the_readme_steps(corner: Path, tmp_path: Path) -> No
 def test_the_learners_code_runs(corner: Path, tmp_path: Path) -> None:
     loop, network, sb3 = code_of(TUTORIALS / "learner.md")
     told = run(small(loop, corner), tmp_path).splitlines()
-    page = (TUTORIALS / "learner.md").read_text(encoding="utf-8")
+    page = (TUTORIALS / "learner.md").read_text()
     assert told[:4] == re.findall(r"^(?:seg|depth|imu|joystick) \(.*$", page, re.MULTILINE)
     assert told[4].startswith("action space: Discrete(81)")
-    assert network == (ROOT / "examples" / "own_network.py").read_text(encoding="utf-8")  # which has tests of its own
+    assert network == (ROOT / "examples" / "own_network.py").read_text()  # which has tests of its own
     run(small(sb3, corner), tmp_path)
     assert (tmp_path / "dqn.zip").is_file()
 
@@ -82,13 +82,13 @@ def test_the_contributors_change_can_be_made(tmp_path: Path) -> None:
     apply = ["git", "apply", "-"]
     done = subprocess.run(apply, input=patch, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "[tired]" in (tmp_path / names[1]).read_text(encoding="utf-8")
+    assert "[tired]" in (tmp_path / names[1]).read_text()
 
 
 @pytest.mark.parametrize("page", sorted(TUTORIALS.glob("*.md")), ids=lambda page: page.stem)
 def test_a_tutorial_says_first_what_one_will_have_and_how_long_it_takes(page: Path) -> None:
-    said = page.read_text(encoding="utf-8").partition("\n## ")[0]
+    said = page.read_text().partition("\n## ")[0]
     assert "**You will have**" in said
     assert "**It takes**" in said
-    steps = re.findall(r"^## \d.*$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    steps = re.findall(r"^## \d.*$", page.read_text(), re.MULTILINE)
     assert len(steps) >= 5

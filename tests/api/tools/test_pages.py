@@ -9,7 +9,7 @@ import wcsim.errors
 from tools.pages import MADE, ROOT
 from wcsim.cli.main import SUBCOMMANDS
 
-TEXTS = {name: (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in MADE}
+TEXTS = {name: (ROOT / "docs" / f"{name}.md").read_text() for name in MADE}
 
 
 @pytest.mark.parametrize("name", MADE)

@@ -14,18 +14,18 @@ from wcsim.view.report.comparisons import verdict
 
 
 def test_readme_says_what_the_file_of_results_says():
-    said = json.loads(pictures.FIGURES.read_text(encoding="utf-8"))["verdict"]
-    assert f"<!-- help -->\n{said}\n<!-- /help -->" in (ROOT / pictures.README).read_text(encoding="utf-8")
+    said = json.loads(pictures.FIGURES.read_text())["verdict"]
+    assert f"<!-- help -->\n{said}\n<!-- /help -->" in (ROOT / pictures.README).read_text()
 
 
 def test_a_new_result_is_said_in_its_place_alone(tmp_path):
     write_result(tmp_path)
     readme, figures = tmp_path / "README.md", tmp_path / "help.json"
-    readme.write_text("before\n<!-- help -->\nold\n<!-- /help -->\nafter\n", encoding="utf-8")
+    readme.write_text("before\n<!-- help -->\nold\n<!-- /help -->\nafter\n")
     pictures.say_help(read_result(tmp_path), figures, readme)
     said = verdict(read_result(tmp_path))
-    assert readme.read_text(encoding="utf-8") == f"before\n<!-- help -->\n{said}\n<!-- /help -->\nafter\n"
-    assert json.loads(figures.read_text(encoding="utf-8"))["pooled"][0]["policy"] == "follow"
+    assert readme.read_text() == f"before\n<!-- help -->\n{said}\n<!-- /help -->\nafter\n"
+    assert json.loads(figures.read_text())["pooled"][0]["policy"] == "follow"
 
 
 def test_a_film_that_is_too_large_is_refused(tmp_path, monkeypatch):

@@ -22,5 +22,5 @@ def test_a_version_without_notes_is_refused(version):
 
 
 def test_the_changelog_has_notes_of_the_version_of_the_package():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert notes((ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), project["version"])
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert notes((ROOT / "CHANGELOG.md").read_text(), project["version"])

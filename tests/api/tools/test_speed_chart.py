@@ -7,12 +7,12 @@ import pytest
 
 from tools.speed_chart import PICTURES, drawn
 
-NUMBERS = json.loads((PICTURES / "speed.json").read_text(encoding="utf-8"))
-RESULTS = (Path(__file__).parents[3] / "docs" / "results.md").read_text(encoding="utf-8")
+NUMBERS = json.loads((PICTURES / "speed.json").read_text())
+RESULTS = (Path(__file__).parents[3] / "docs" / "results.md").read_text()
 
 
 def test_the_drawing_is_of_the_numbers():
-    assert (PICTURES / "speed.svg").read_text(encoding="utf-8") == drawn(NUMBERS)
+    assert (PICTURES / "speed.svg").read_text() == drawn(NUMBERS)
 
 
 @pytest.mark.parametrize("row", NUMBERS["rows"], ids=lambda row: row["name"])

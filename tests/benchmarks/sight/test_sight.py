@@ -23,19 +23,19 @@ def test_every_question_is_asked_of_a_street_the_same_way_each_time(corner_town)
 ])  # fmt: skip
 def test_answers_are_counted(tmp_path, capsys, question, truth, right, wrong):
     key = {name: {"question": question, "truth": truth, "town": "x"} for name in ("0001", "0002")}
-    (tmp_path / "key.json").write_text(json.dumps(key), encoding="utf-8")
+    (tmp_path / "key.json").write_text(json.dumps(key))
     answers = tmp_path / "answers.csv"
-    answers.write_text(f"picture,answer\n0001,{right}\n0002,{wrong}\n", encoding="utf-8")
+    answers.write_text(f"picture,answer\n0001,{right}\n0002,{wrong}\n")
     assert main(["sight", "--out", str(tmp_path), "--answers", str(answers)]) == 0
     assert f"{question}: 1 of 2 (" in capsys.readouterr().out
-    answers.write_text(f"picture,answer\n0001,{right}\n", encoding="utf-8")
+    answers.write_text(f"picture,answer\n0001,{right}\n")
     assert main(["sight", "--out", str(tmp_path), "--answers", str(answers)]) == 2
 
 
 def test_pictures_questions_and_truth_are_written(corner, tmp_path, capsys):
     assert main(["sight", "--towns", str(corner), "--each", "1", "--out", str(tmp_path), "--seed", "3"]) == 0
-    key = json.loads((tmp_path / "key.json").read_text(encoding="utf-8"))
-    asked = (tmp_path / "questions.txt").read_text(encoding="utf-8")
+    key = json.loads((tmp_path / "key.json").read_text())
+    asked = (tmp_path / "questions.txt").read_text()
     for name, said in key.items():
         assert f"{name}: {ASKED[said['question']]}" in asked
         assert cv2.imread(str(tmp_path / f"{name}.png")).shape == (450, 800, 3)

@@ -92,11 +92,11 @@ def assert_runs(sumocfg: Path, folder: Path, seconds: float, chairs: int = 2) ->
     if chairs:
         code, said = typed(f"{run} --chairs {chairs} --out chairs {SMALL}", folder)
         assert code == 0, said
-        facts = json.loads((folder / "chairs" / "manifest.json").read_text(encoding="utf-8"))["facts"]
+        facts = json.loads((folder / "chairs" / "manifest.json").read_text())["facts"]
         assert facts["episodes"] >= chairs and facts["ticks"] == round(seconds * 10)
     code, said = typed(f"{run} --chairs 0 --outputs fcd,tripinfo --out none-{chairs}", folder)
     assert code == 0, said
-    manifest = json.loads((folder / f"none-{chairs}" / "manifest.json").read_text(encoding="utf-8"))
+    manifest = json.loads((folder / f"none-{chairs}" / "manifest.json").read_text())
     plain = folder / f"plain-{chairs}"
     plain.mkdir()
     begin_s = float(manifest["facts"]["end_s"]) - seconds

@@ -20,13 +20,11 @@ def make_grid_town(folder: Path, blocks: int, vehicles: int, people: int, seed: 
     walk = ["--sidewalks.guess", "--sidewalks.guess.from-permissions", "--crossings.guess", "--walkingareas"]
     run = run_tool("netgenerate", [*grid, *walk, "--tls.guess", "-o", "big.net.xml"], folder)
     assert not run.returncode, run.reason()
-    (folder / "big.rou.xml").write_text(_routes(folder / "big.net.xml", vehicles, people, seed), encoding="utf-8")
-    (folder / "big.sumocfg").write_text(
-        sumocfg_text("big", seed, "big.rou.xml", ()).replace(".net.xml.gz", ".net.xml"), encoding="utf-8"
-    )
+    (folder / "big.rou.xml").write_text(_routes(folder / "big.net.xml", vehicles, people, seed))
+    (folder / "big.sumocfg").write_text(sumocfg_text("big", seed, "big.rou.xml", ()).replace(".net.xml.gz", ".net.xml"))
     middle = blocks * BLOCK_M // 2
     toml = town_toml_text(name="big", split="train", origin_m=(middle, middle)) + "warmup_s = 1.0\n"
-    (folder / "town.toml").write_text(toml, encoding="utf-8")
+    (folder / "town.toml").write_text(toml)
     return folder
 
 

@@ -68,9 +68,9 @@ def test_a_walk_off_the_connected_area_kills_sumo_and_is_refused_first(
     island = tmp_path / "island"
     island.mkdir()
     for file in find_scene("narrow-gate").glob("s*.*ml"):
-        text, more = file.read_text(encoding="utf-8"), ISLAND.get(file.name, "")
+        text, more = file.read_text(), ISLAND.get(file.name, "")
         head, end, tail = text.rpartition("</")
-        (island / file.name).write_text(f"{head}{more}{end}{tail}", encoding="utf-8")
+        (island / file.name).write_text(f"{head}{more}{end}{tail}")
     broken, _ = build_scene(island, tmp_path / "broken")
     with ExitStack() as held, pytest.raises(TownError, match=r"people walk by JuPedSim .*expected pedestrian\.model"):
         open_scenario(broken, Settings(world=CONFIG, seed=1), RunPlace(), held)

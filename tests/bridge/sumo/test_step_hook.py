@@ -107,7 +107,7 @@ class CannotBeMade:
 def signals(tmp_path, monkeypatch):
     """A module of the user's own, in the folder where wcsim is started."""
     name = f"signals_{tmp_path.name.replace('-', '_')}"
-    (tmp_path / f"{name}.py").write_text(MODULE, encoding="utf-8")
+    (tmp_path / f"{name}.py").write_text(MODULE)
     monkeypatch.chdir(tmp_path)
     return name
 

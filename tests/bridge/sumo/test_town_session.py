@@ -18,7 +18,7 @@ def warm(corner_town: Town) -> Town:
 
 def test_a_warm_up_that_somebody_sets_counts_and_else_the_towns(corner_town: Town, warm: Town, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
-    file.write_text("[world]\nwarmup_s = 10\n", encoding="utf-8")
+    file.write_text("[world]\nwarmup_s = 10\n")
     plain = resolve("quick")
     assert warmup_s(warm, plain) == 30.0 and warmup_s(corner_town, plain) == 240.0
     asked = (resolve("quick", (ASKED,)), resolve("quick", file), resolve(plain, (ASKED,)))

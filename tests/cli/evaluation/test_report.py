@@ -40,7 +40,7 @@ class Still:
 def finished(corner, tmp_path_factory):
     """A finished test of a short list by the user alone and by code of one's own; no episode comes to its end."""
     place = tmp_path_factory.mktemp("finished")
-    (place / "own.py").write_text(OWN, encoding="utf-8")
+    (place / "own.py").write_text(OWN)
     written_list(corner, place, max_steps=30)
     with contextlib.chdir(place), in_this_process():
         assert main(["test", "own:Still", "--suite", "corner.json", "--only", "--out", "runs/out"]) == 0
@@ -59,7 +59,7 @@ def tested(finished, folder):
 def test_the_page_of_a_test_shows_its_failures_in_pictures_and_their_command_runs(wcsim, tested):
     result = wcsim("report", "runs/out", "--pictures", "1")
     assert result.code == 0 and "report.html" in result.out
-    text = (tested / "report.html").read_text(encoding="utf-8")
+    text = (tested / "report.html").read_text()
     driven = parsed(tested / "episodes.json")["follow"]
     assert {record["status"] for record in driven} == {"timed_out"}
     assert text.count("network saw it, 0.0 s before") == 1 and text.count('class="street"') == 1
@@ -72,10 +72,10 @@ def test_a_result_that_cannot_be_driven_as_it_was_has_a_page_without_those_pictu
     path = tested / "episodes.json"
     episodes = parsed(path)
     episodes["follow"][0]["m"] += 1.0
-    path.write_text(json.dumps(episodes), encoding="utf-8")
+    path.write_text(json.dumps(episodes))
     score_anew(tested)
     assert wcsim("report", "runs/out", "--pictures", "2").code == 0
-    text = (tested / "report.html").read_text(encoding="utf-8")
+    text = (tested / "report.html").read_text()
     assert "wcsim test follow --suite corner.json --play 0.0 --out runs/out" in text
     assert "No pictures: episode 0.0 differs from the saved one" in text and text.count('class="street"') == 1
 
@@ -85,7 +85,7 @@ def test_another_list_gives_a_page_without_pictures_and_says_why(wcsim, folder):
     score_anew(folder / "out")
     result = wcsim("report", "out", "--out", "elsewhere")
     assert result.code == 0 and "list dev has the hash" in result.err
-    assert "list dev has the hash" in (folder / "elsewhere" / "report.html").read_text(encoding="utf-8")
+    assert "list dev has the hash" in (folder / "elsewhere" / "report.html").read_text()
     assert (folder / "elsewhere" / "report").is_dir() and not (folder / "out" / "report.html").exists()
 
 
@@ -105,6 +105,6 @@ def test_code_that_a_result_names_runs_only_when_it_is_named_again(wcsim, tested
     monkeypatch.delitem(sys.modules, "own", raising=False)  # as in a process of its own
     assert wcsim("report", "runs/out", "--pictures", "1").code == 0
     page = tested / "report.html"
-    assert not (folder / "ran").exists() and "runs when you name it" in page.read_text(encoding="utf-8")
+    assert not (folder / "ran").exists() and "runs when you name it" in page.read_text()
     assert wcsim("report", "runs/out", "--pictures", "1", "--own", "own:Still").code == 0
-    assert (folder / "ran").exists() and "runs when you name it" not in page.read_text(encoding="utf-8")
+    assert (folder / "ran").exists() and "runs when you name it" not in page.read_text()

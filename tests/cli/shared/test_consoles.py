@@ -26,5 +26,5 @@ def test_a_table_shows_a_name_as_it_is(capsys):
 def test_every_command_has_its_consoles_from_here():
     """A console of a command's own once showed a class called Robot as a picture."""
     files = Path(wcsim.cli.__file__).parent.rglob("*.py")
-    made = [path.name for path in files if re.search(r"\bConsole\(", path.read_text(encoding="utf-8"))]
+    made = [path.name for path in files if re.search(r"\bConsole\(", path.read_text())]
     assert made == ["consoles.py"]

@@ -30,8 +30,8 @@ def test_a_scenario_of_longer_steps_is_told_what_that_does_without_being_asked(w
         if file.is_file():
             (tmp_path / file.name).write_bytes(file.read_bytes())
     (config,) = tmp_path.glob("*.sumocfg")
-    text = config.read_text(encoding="utf-8")
-    config.write_text(re.sub(r"<step-length [^>]*>", '<step-length value="1"/>', text), encoding="utf-8")
+    text = config.read_text()
+    config.write_text(re.sub(r"<step-length [^>]*>", '<step-length value="1"/>', text))
     told = wcsim("town", "run", config, "--seconds", "1", "--chairs", "0", "--out", "run")
     assert told.code == 0
     line = " ".join(told.out[told.out.index("step-length is") :].split())

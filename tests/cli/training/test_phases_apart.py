@@ -152,7 +152,7 @@ def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner,
         left: (16, 0, 0),
     }
     assert main(["report", str(run)]) == 0
-    page = (run / "report.html").read_text(encoding="utf-8")
+    page = (run / "report.html").read_text()
     assert "Which client learns the second phase" in page and (run / "report" / "selection.csv").is_file()
     monkeypatch.chdir(tmp_path)
     assert main(["resume", "run"]) == 0  # all is done: nothing is driven or learned

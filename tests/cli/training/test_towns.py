@@ -51,7 +51,7 @@ def test_towns_take_turns_and_resume_goes_on_with_them(wcsim, folder, corner, ot
     tested = wcsim("test", "run", "--town", other, "--only", "--episodes", "1", "--max-steps", "2")
     assert tested.code == 2 and "was trained in" in tested.err
     assert wcsim("report", "run").code == 0
-    page = (run / "report.html").read_text(encoding="utf-8")
+    page = (run / "report.html").read_text()
     assert name in page and other.name in page
 
 

@@ -60,7 +60,7 @@ AHEAD = Wish(stick=Joystick(0.0, 0.8))
 
 def write_study(folder: Path, town: Path, text: str = STUDY) -> Path:
     path = folder / "tiny.toml"
-    path.write_text(text.replace("{town}", str(town)), encoding="utf-8")
+    path.write_text(text.replace("{town}", str(town)))
     return path
 
 

@@ -160,7 +160,7 @@ def test_ways_end_as_they_did(corner: Path, tmp_path: Path, monkeypatch: pytest.
 
 def test_a_person_is_patient_and_a_user_is_not(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     user = tmp_path / "hasty.toml"
-    user.write_text('base = "competent"\ngive_up_s = 1.0\n', encoding="utf-8")
+    user.write_text('base = "competent"\ngive_up_s = 1.0\n')
     drive = Kept(DriveStart(town=str(corner), seed=4, policy="zero", profile=str(user)), tmp_path / "a.drive")
     drive.drive(90)
     drive.session.drive_by(DriverKind.SIMULATED)

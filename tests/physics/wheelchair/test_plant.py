@@ -29,10 +29,10 @@ EACH_SPEC = pytest.mark.parametrize("spec", [pytest.param(RWD, id="rwd"), pytest
 def user_file(folder: Path, old: str = "", new: str = "", plant: str = "rwd") -> str:
     """A plant file of a user's own: one of ours, with some text changed."""
     source = Path(__file__).parents[3] / "wcsim" / "config" / "plants" / f"{plant}.toml"
-    text = source.read_text(encoding="utf-8")
+    text = source.read_text()
     assert old in text
     path = folder / "mine.toml"
-    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    path.write_text(text.replace(old, new, 1))
     return str(path)
 
 
@@ -123,7 +123,7 @@ def test_unknown_plants_and_files_that_are_none(tmp_path):
         plant_spec(ChairConfig(plant="tank"))
     with pytest.raises(ConfigError, match="cannot be read"):
         plant_spec(ChairConfig(plant=str(tmp_path / "none.toml")))
-    (tmp_path / "bad.toml").write_text("mass = [", encoding="utf-8")
+    (tmp_path / "bad.toml").write_text("mass = [")
     with pytest.raises(ConfigError, match="is not TOML"):
         plant_spec(ChairConfig(plant=str(tmp_path / "bad.toml")))
 

@@ -51,7 +51,7 @@ def key_of(town: Town) -> str:
 
 def edit(copy: Path, module: ModuleType, more: str = "# a comment\n") -> None:
     path = copy / Path(str(module.__file__)).relative_to(ROOT.parent)
-    path.write_text(path.read_text(encoding="utf-8") + more, encoding="utf-8")
+    path.write_text(path.read_text() + more)
 
 
 def test_what_makes_a_street_makes_its_name(copy: Path, corner_town: Town) -> None:
@@ -65,7 +65,7 @@ def test_what_makes_a_street_makes_its_name(copy: Path, corner_town: Town) -> No
 def test_so_do_the_models_of_furniture(copy: Path, corner_town: Town) -> None:
     before = key_of(corner_town)
     looks = copy / "wcsim" / "towns" / "furniture" / "models.toml"
-    looks.write_text(looks.read_text(encoding="utf-8").replace("size = [1.6,", "size = [1.7,"), encoding="utf-8")
+    looks.write_text(looks.read_text().replace("size = [1.6,", "size = [1.7,"))
     assert key_of(corner_town) != before
 
 

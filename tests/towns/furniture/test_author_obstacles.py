@@ -30,7 +30,7 @@ def things_in(items: list[Item]) -> list[StandingObject]:
 
 def write(folder: Path, body: str) -> tuple[Path, ...]:
     path = folder / "my.add.xml"
-    path.write_text(f"<additional>{body}</additional>", encoding="utf-8")
+    path.write_text(f"<additional>{body}</additional>")
     return (path,)
 
 
@@ -45,7 +45,7 @@ def with_things(town: Town, folder: Path, body: str) -> Town:
     for path in (town.net, *town.routes, town.folder / "town.toml"):
         (folder / path.name).write_bytes(path.read_bytes())
     text = sumocfg_text("t", 1, town.routes[0].name, ("my.add.xml",)).replace("t.net.xml.gz", town.net.name)
-    (folder / "t.sumocfg").write_text(text, encoding="utf-8")
+    (folder / "t.sumocfg").write_text(text)
     return open_town(folder / "t.sumocfg")
 
 

@@ -68,7 +68,7 @@ def test_mapped_stops_are_poles_and_not_doubled() -> None:
 )
 def test_broken_stops_are_left_out(corner_town: Town, tmp_path: Path, attributes: str) -> None:
     path = tmp_path / "s.add.xml"
-    path.write_text(f'<additional><busStop id="b" {attributes}/></additional>', encoding="utf-8")
+    path.write_text(f'<additional><busStop id="b" {attributes}/></additional>')
     assert read_items((path,), (0, 0), read_net(corner_town.net)) == []
     assert read_items((path,), (0, 0)) == []
 
@@ -79,7 +79,7 @@ def test_broken_stops_are_left_out(corner_town: Town, tmp_path: Path, attributes
 def test_stops_are_read_from_their_lane(corner_town: Town, tmp_path: Path, attributes: str) -> None:
     path = tmp_path / "s.add.xml"
     text = f'<additional><busStop id="b" lane="EC_1" {attributes}/><trainStop id="t" lane="CE_1"/></additional>'
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
     net = read_net(corner_town.net)
     bus, tram = read_items((path,), (0, 0), net)
     lane = next(lane for edge in net.edges for lane in edge.lanes if lane.id == "EC_1")

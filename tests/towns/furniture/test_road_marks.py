@@ -45,7 +45,7 @@ def town_of(folder: Path, lefthand: str = "false") -> Town:
     source = folder / "source"
     source.mkdir()
     for name, text in FILES.items():
-        (source / name).write_text(text.replace("{lefthand}", lefthand), encoding="utf-8")
+        (source / name).write_text(text.replace("{lefthand}", lefthand))
     return build_scene(source, folder / "town")[0]
 
 

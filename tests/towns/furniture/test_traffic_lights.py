@@ -131,7 +131,6 @@ def test_a_program_in_an_additional_file_splits_heads(net: Net, tmp_path: Path) 
     path.write_text(
         f'<additional><tlLogic id="{name}" type="static" programID="n"><phase duration="9" state="{mixed}"/></tlLogic>'
         '<tlLogic id="other"><phase duration="1"/></tlLogic></additional>',
-        encoding="utf-8",
     )
     things = signal_things(same, (path,), place)
     assert len(heads_of(things, pedestrian=False)) > 4

@@ -125,7 +125,7 @@ def test_broken_or_forbidden_cache_is_no_error(corner_town: Town, own_cache: Pat
     assert len(load_street(corner_town).mesh.faces) > 0
     kept.unlink()
     own_cache.joinpath("wcsim").rmdir()
-    own_cache.joinpath("wcsim").write_text("not a folder", encoding="utf-8")
+    own_cache.joinpath("wcsim").write_text("not a folder")
     assert len(load_street(corner_town).mesh.faces) > 0
 
 

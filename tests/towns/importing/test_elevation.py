@@ -71,7 +71,6 @@ def test_only_a_geotiff_of_a_size_that_can_be_read_is_one(tmp_path: Path) -> Non
         <GeoTransform>371495,10,0,4845700,0,-10</GeoTransform><VRTRasterBand dataType="Float32" band="1">
         <SimpleSource><SourceFilename>{sound}</SourceFilename><SourceBand>1</SourceBand></SimpleSource>
         </VRTRasterBand></VRTDataset>""",
-        encoding="utf-8",
     )
     place = Affine(1e-6, 0.0, 7.3, 0.0, -1e-6, 43.8)
     shape = {"width": 60_000, "height": 60_000, "count": 1, "dtype": "float32", "transform": place, "SPARSE_OK": True}
@@ -101,9 +100,8 @@ def test_what_lies_beside_a_geotiff_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "a.tif.aux.xml").write_text(
         '<PAMDataset><SRS>EPSG:4326</SRS><GeoTransform>0,1,0,0,0,-1</GeoTransform><PAMRasterBand band="1">'
         "<NoDataValue>5</NoDataValue></PAMRasterBand></PAMDataset>",
-        encoding="utf-8",
     )
-    (tmp_path / "a.tfw").write_text("1\n0\n0\n-1\n0\n0\n", encoding="utf-8")
+    (tmp_path / "a.tfw").write_text("1\n0\n0\n-1\n0\n0\n")
     (tmp_path / "a.tif.ovr").write_bytes(b"II*\0 no overview")
     (tmp_path / "a.tif.msk").write_bytes(b"II*\0 no mask")
     found = make_dem(Heights(dem=path), BOX, 0)

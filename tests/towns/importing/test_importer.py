@@ -35,7 +35,7 @@ from wcsim.towns.sumo.xml_io import parse_root, read_bytes, read_root
 def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ImportOrder:
     monkeypatch.setattr(demand, "TRIAL_S", 20)
     osm = tmp_path / "tiny.osm"
-    osm.write_text(tiny_osm(), encoding="utf-8")
+    osm.write_text(tiny_osm())
     return ImportOrder(osm=osm, name="small", split="test", out=tmp_path / "towns" / "small")
 
 
@@ -70,7 +70,7 @@ def test_an_import_that_is_ended_as_soon_as_its_folder_is_made_leaves_none(
 
 def test_shipped_net_is_what_its_extract_gives(order: ImportOrder, manhattan_town: Town) -> None:
     osm = manhattan_town.folder / "osm"
-    box = Box.of((osm / "bbox").read_text(encoding="utf-8"))
+    box = Box.of((osm / "bbox").read_text())
     made = import_town(replace(order, osm=osm / "manhattan.osm.xml.gz", bbox=box, traffic=0.0))
     town = made.town
     assert not any("has no bounds" in note for note in made.notes)
@@ -82,7 +82,7 @@ def test_shipped_net_is_what_its_extract_gives(order: ImportOrder, manhattan_tow
 def test_failed_import_leaves_the_old_town_and_no_rubbish(order: ImportOrder, town: Town, tmp_path: Path) -> None:
     before = sorted(path.name for path in order.out.iterdir())
     broken = tmp_path / "broken.osm.xml"
-    broken.write_text("<osm><way id='1'/></osm>", encoding="utf-8")
+    broken.write_text("<osm><way id='1'/></osm>")
     with pytest.raises((SumoError, TownError), match="broken"):
         import_town(replace(order, osm=broken))
     assert sorted(path.name for path in order.out.iterdir()) == before
@@ -168,7 +168,7 @@ def test_a_town_in_the_hills_is_no_steeper_than_ordered_and_can_be_built_again(o
     assert dem.stat().st_size < 200_000
     again = import_town(replace(steep, relief=Heights(dem=dem, max_grade=0.06))).town
     assert read_bytes(again.net) == first
-    assert "terrain model" in (again.folder / "LICENSE-DATA").read_text(encoding="utf-8")
+    assert "terrain model" in (again.folder / "LICENSE-DATA").read_text()
 
 
 def test_a_hill_is_as_high_as_ordered_where_the_streets_are(order: ImportOrder) -> None:
@@ -182,13 +182,13 @@ def test_the_noted_command_builds_the_town_again(town: Town, monkeypatch: pytest
     town.net.write_bytes(gzip.compress(read_bytes(town.net).replace(b'speed="13.89"', b'speed="8.33"')))
     report = check_town(town)
     assert report.faults == () and [note for note in report.notes if "small.net.xml.gz" in note and "duarouter" in note]
-    (town.folder / "thesis.txt").write_text("mine", encoding="utf-8")
+    (town.folder / "thesis.txt").write_text("mine")
     monkeypatch.chdir(town.folder)
     words = shlex.split(town.file.rebuild)[1:]
     with redirect_stderr(StringIO()) as told:
         assert main(words) == 2
     assert "small.net.xml.gz, thesis.txt" in told.getvalue() and "--replace" in told.getvalue()
-    assert (town.folder / "thesis.txt").read_text(encoding="utf-8") == "mine"
+    assert (town.folder / "thesis.txt").read_text() == "mine"
     with redirect_stdout(StringIO()):
         assert main([*words, "--replace", "--json", "report.json"]) == 0
     (town.folder / "report.json").unlink()  # it was written into the new folder
@@ -196,7 +196,7 @@ def test_the_noted_command_builds_the_town_again(town: Town, monkeypatch: pytest
 
 
 def test_what_an_author_adds_is_noted(town: Town) -> None:
-    text = town.additional[0].read_text(encoding="utf-8")
+    text = town.additional[0].read_text()
     town.additional[0].write_text(text.replace("</additional>", '<poi id="a" x="1" y="2"/></additional>'), "utf-8")
     assert [note for note in _find_notes(town, read_net(town.net)) if "small.add.xml" in note]
 
@@ -204,7 +204,7 @@ def test_what_an_author_adds_is_noted(town: Town) -> None:
 def test_stages_and_what_is_left_out_are_told(order: ImportOrder) -> None:
     island = '<node id="901" lat="60.00085" lon="25.0005"/><node id="902" lat="60.00055" lon="25.0009"/>'
     island += '<way id="900"><nd ref="901"/><nd ref="902"/><tag k="highway" v="footway"/><tag k="name" v="Lost"/></way>'
-    order.osm.write_text(tiny_osm().replace("</osm>", f"{island}</osm>"), encoding="utf-8")
+    order.osm.write_text(tiny_osm().replace("</osm>", f"{island}</osm>"))
     stages: list[str] = []
     made = import_town(order, stage=stages.append)
     assert len(stages) == 4 and str(order.osm) in stages[0]
@@ -220,7 +220,7 @@ def test_stages_and_what_is_left_out_are_told(order: ImportOrder) -> None:
 
 def test_chairs_drive_on_cycle_paths_where_they_may(order: ImportOrder, built: Path) -> None:
     path = '<way id="90" version="1"><nd ref="1"/><nd ref="12"/><nd ref="23"/><tag k="highway" v="cycleway"/></way>'
-    order.osm.write_text(tiny_osm().replace("<way", f"{path}<way", 1), encoding="utf-8")
+    order.osm.write_text(tiny_osm().replace("<way", f"{path}<way", 1))
     law = import_town(replace(order, cycle_paths=True, traffic=0.0)).town
     tracks = {lane.id for lane in read_net(law.net).lanes(LaneKind.BIKE)}
     driven = {lane.id for lane in walkable_lanes(read_net(law.net), law.file.chair_ways)}

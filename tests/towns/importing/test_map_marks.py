@@ -78,7 +78,7 @@ def test_crossings_that_are_guessed_or_unmarked_have_no_paint(made: _Imported, b
 
 
 def test_bus_stops_of_the_map_are_sumos(made: _Imported, tmp_path: Path) -> None:
-    text = made.town.additional[0].read_text(encoding="utf-8")
+    text = made.town.additional[0].read_text()
     (lane,) = re.findall(r'<busStop id="stop.731" name="A &amp; B" lane="([^"]+)"', text)
     assert made.counts["stops"] == made.counts["stops_mapped"] == 2
     net = read_net(made.town.net)

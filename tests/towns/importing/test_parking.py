@@ -36,7 +36,7 @@ def with_car_parks() -> str:
 @pytest.fixture(scope="module")
 def order(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ImportOrder]:
     folder = tmp_path_factory.mktemp("parking")
-    (folder / "tiny.osm").write_text(with_car_parks(), encoding="utf-8")
+    (folder / "tiny.osm").write_text(with_car_parks())
     yield ImportOrder(osm=folder / "tiny.osm", name="lots", split="test", out=folder / "lots", traffic=0.0, parked=0.5)
 
 

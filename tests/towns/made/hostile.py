@@ -23,13 +23,12 @@ def scenario(town: Town, folder: Path, options: str = "", more: str = "", vehicl
     folder.mkdir(parents=True, exist_ok=True)
     edge = lane_of(town).rpartition("_")[0]
     (folder / "a.net.xml").write_bytes(gzip.decompress(town.net.read_bytes()))
-    (folder / "a.add.xml").write_text(f"<additional>{more}</additional>", encoding="utf-8")
+    (folder / "a.add.xml").write_text(f"<additional>{more}</additional>")
     cars = vehicles or f'<vehicle id="one" depart="0"><route edges="{edge}"/></vehicle>'
-    (folder / "a.rou.xml").write_text(f"<routes>{cars}</routes>", encoding="utf-8")
+    (folder / "a.rou.xml").write_text(f"<routes>{cars}</routes>")
     (folder / "a.sumocfg").write_text(
         "<configuration><n value='a.net.xml'/><routes value='a.rou.xml'/><a value='a.add.xml'/>"
         f"{options}</configuration>",
-        encoding="utf-8",
     )
     return folder / "a.sumocfg"
 

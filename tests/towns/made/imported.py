@@ -10,7 +10,7 @@ from wcsim.towns.importing.importer import ImportOrder, _Imported, import_town
 
 def imported(osm: str, folder: Path) -> _Imported:
     """The test town `small` in a folder; its demand is tried for 20 s alone."""
-    (folder / "small.osm").write_text(osm, encoding="utf-8")
+    (folder / "small.osm").write_text(osm)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demand, "TRIAL_S", 20)
         return import_town(ImportOrder(osm=folder / "small.osm", name="small", split="test", out=folder / "small"))

@@ -46,7 +46,7 @@ def street(name: str = "s", y: float = 0.0, length: float = 60.0) -> str:
 def write_net(folder: Path, *parts: str) -> Net:
     """The net of these elements, read back."""
     path = folder / "odd.net.xml"
-    path.write_text("<net>" + "".join(parts) + "</net>", encoding="utf-8")
+    path.write_text("<net>" + "".join(parts) + "</net>")
     return read_net(path)
 
 
@@ -63,7 +63,7 @@ def hilly(net: Path, out: Path, height_m: Callable[[float, float], float]) -> Pa
         places = [tuple(float(v) for v in part.split(",")[:2]) for part in match[2].split()]
         return f'{match[1]}"' + " ".join(f"{x:.2f},{y:.2f},{height_m(x, y):.2f}" for x, y in places) + '"'
 
-    out.write_text(re.sub(r'( shape=)"([^"]+)"', lifted, net.read_text(encoding="utf-8")), encoding="utf-8")
+    out.write_text(re.sub(r'( shape=)"([^"]+)"', lifted, net.read_text()))
     return out
 
 

@@ -40,7 +40,7 @@ def bologna_cars(theirs: Path, folder: Path) -> Path:
     copied(theirs, folder)
     routes, more = "acosta.rou.xml", "acosta_vtypes.add.xml,acosta_detectors.add.xml,acosta_tls.add.xml"
     config = _CONFIG.format(net="acosta_buslanes.net.xml", routes=routes, more=more, begin=0.0, end=600.0)
-    (folder / "cars.sumocfg").write_text(config, encoding="utf-8")
+    (folder / "cars.sumocfg").write_text(config)
     return folder / "cars.sumocfg"
 
 
@@ -56,11 +56,11 @@ def made(
     if persons:
         _trips(folder, "w.rou.xml", [*times, "-p", "8", "--pedestrians", "--prefix", "w"])
         routes.append("w.rou.xml")
-    (folder / "t.add.xml").write_text(_things(folder / "t.net.xml"), encoding="utf-8")
+    (folder / "t.add.xml").write_text(_things(folder / "t.net.xml"))
     config = _CONFIG.format(
         net="t.net.xml", routes=",".join(routes), more="t.add.xml", begin=begin_s, end=begin_s + 600.0
     )
-    (folder / "t.sumocfg").write_text(config, encoding="utf-8")
+    (folder / "t.sumocfg").write_text(config)
     return folder / "t.sumocfg"
 
 

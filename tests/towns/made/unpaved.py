@@ -56,8 +56,8 @@ def write_unpaved(folder: Path, *, lefthand: bool = False, signals: str = "stati
         for seconds, street, letter in _PHASES
     )
     logic = f'<tlLogic id="B1" type="static" programID="own" offset="0">{phases}</tlLogic>'
-    (folder / "signals" / "u.tll.xml").write_text(f"<additional>{logic}</additional>", encoding="utf-8")
-    (folder / "u.add.xml").write_text(_THINGS, encoding="utf-8")
-    (folder / "u.rou.xml").write_text(_DEMAND, encoding="utf-8")
-    (folder / "u.sumocfg").write_text(_CONFIG, encoding="utf-8")
+    (folder / "signals" / "u.tll.xml").write_text(f"<additional>{logic}</additional>")
+    (folder / "u.add.xml").write_text(_THINGS)
+    (folder / "u.rou.xml").write_text(_DEMAND)
+    (folder / "u.sumocfg").write_text(_CONFIG)
     return folder / "u.sumocfg"

@@ -144,23 +144,23 @@ def test_chairs_drive_in_it(town: Town, tmp_path: Path) -> None:
 def test_what_somebody_did_there_is_not_lost(level: Town, tmp_path: Path) -> None:
     shutil.copytree(level.folder, tmp_path / "small")
     mine = open_town(tmp_path / "small")
-    (mine.folder / "notes.txt").write_text("mine", encoding="utf-8")
+    (mine.folder / "notes.txt").write_text("mine")
     with pytest.raises(TownError, match=r"notes\.txt"):
         make_town(mine.folder, 6, SMALL)
     assert bytes_in(mine.folder)["notes.txt"] == b"mine"
     (mine.folder / "notes.txt").unlink()
     toml = mine.folder / "town.toml"
-    toml.write_text(toml.read_text(encoding="utf-8").replace("town make", "town import"), encoding="utf-8")
+    toml.write_text(toml.read_text().replace("town make", "town import"))
     with pytest.raises(TownError, match="contains an imported town"):
         make_town(mine.folder, 6, SMALL)
-    (mine.folder / "notes.txt").write_text("mine", encoding="utf-8")
+    (mine.folder / "notes.txt").write_text("mine")
     make_town(mine.folder, 6, LEVEL, overwrite=True)
     assert "notes.txt" not in bytes_in(mine.folder)
 
 
 def test_what_cannot_be_made_is_refused_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "thesis.txt").write_text("mine", encoding="utf-8")
+    (tmp_path / "full" / "thesis.txt").write_text("mine")
     (tmp_path / "file").touch()
     cases = [
         ("full", SMALL, "not a town"),
@@ -176,7 +176,7 @@ def test_what_cannot_be_made_is_refused_and_leaves_nothing(tmp_path: Path, monke
     with pytest.raises(TownError, match="2 attempts; use another seed"):
         make_town(tmp_path / "x", 1, SMALL)
     assert {path.name for path in tmp_path.iterdir()} - {"cache"} == {"full", "file"}
-    assert (tmp_path / "full" / "thesis.txt").read_text(encoding="utf-8") == "mine"
+    assert (tmp_path / "full" / "thesis.txt").read_text() == "mine"
 
 
 @pytest.mark.proof

@@ -85,7 +85,7 @@ def test_names_of_lanes_follow_wherever_they_stand(paved: tuple[Path, Path, Pave
     assert (bus.get("departLane"), bus.get("departPos")) == ("1", "18")  # a junction has grown by 2 m
     assert (vehicles["named"].get("departLane"), vehicles["named"].get("arrivalLane")) == ("2", "2")
     assert vehicles["cars"].get("departLane") == "best"
-    assert "<!-- kept as it is -->" in (ours / "u.add.xml").read_text(encoding="utf-8")
+    assert "<!-- kept as it is -->" in (ours / "u.add.xml").read_text()
     assert (ours / "u.sumocfg").read_bytes() == (theirs / "u.sumocfg").read_bytes()
 
 
@@ -106,8 +106,8 @@ def test_signal_programs_of_the_author_know_the_crossings(paved: tuple[Path, Pat
 
 def test_signal_programs_in_the_net_stay_the_authors_too(theirs: Path, tmp_path: Path) -> None:
     net = theirs.with_name("u.net.xml")
-    text = net.read_text(encoding="utf-8").replace('type="static" programID="0" offset="0"', OWN_PROGRAM)
-    net.write_text(text.replace('duration="42"', 'duration="30" name="drive"'), encoding="utf-8")
+    text = net.read_text().replace('type="static" programID="0" offset="0"', OWN_PROGRAM)
+    net.write_text(text.replace('duration="42"', 'duration="30" name="drive"'))
     told = pave_town(open_town(theirs), tmp_path / "ours")
     places = (net.parent, tmp_path / "ours")
     old, new = ([item for item in elements(place, net.name) if item.tag == "tlLogic"] for place in places)
@@ -154,7 +154,7 @@ def test_a_net_of_any_number_of_paths_is_paved(theirs: Path, tmp_path: Path) -> 
     nodes = "".join(f'<node id="p{i}" x="{900 + 20 * i}" y="900"/>' for i in (*ways, len(ways)))
     edges = "".join(f'<edge id="{"way" * 60}#{i}" from="p{i}" to="p{i + 1}" allow="bicycle"/>' for i in ways)
     for name, kind, text in (("i.nod.xml", "nodes", nodes), ("i.edg.xml", "edges", edges)):
-        theirs.with_name(name).write_text(f"<{kind}>{text}</{kind}>", encoding="utf-8")
+        theirs.with_name(name).write_text(f"<{kind}>{text}</{kind}>")
     options = ["-s", "u.net.xml", "-n", "i.nod.xml", "-e", "i.edg.xml", "-o", "u.net.xml"]
     tool_output("netconvert", options, theirs.parent)
     told = pave_town(open_town(theirs), tmp_path / "ours")
@@ -162,15 +162,15 @@ def test_a_net_of_any_number_of_paths_is_paved(theirs: Path, tmp_path: Path) -> 
 
 
 def test_a_lane_that_is_not_there_is_refused_by_name(theirs: Path, tmp_path: Path) -> None:
-    text = theirs.with_name("u.add.xml").read_text(encoding="utf-8")
-    theirs.with_name("u.add.xml").write_text(text.replace('lane="B0A0_0"', 'lane="B0A0_7"'), encoding="utf-8")
+    text = theirs.with_name("u.add.xml").read_text()
+    theirs.with_name("u.add.xml").write_text(text.replace('lane="B0A0_0"', 'lane="B0A0_7"'))
     with pytest.raises(TownError, match=r"u\.add\.xml: parkingArea 'park': names lane 'B0A0_7'"):
         pave_town(open_town(theirs), tmp_path / "ours")
 
 
 def test_a_town_keeps_what_sumo_has_no_word_for(theirs: Path, tmp_path: Path) -> None:
     toml = 'name = "mine"\nsplit = "test"\norigin_m = [5, 5]\n\n[hashes]\n"u.net.xml" = "0"\n'
-    theirs.with_name("town.toml").write_text(toml, encoding="utf-8")
+    theirs.with_name("town.toml").write_text(toml)
     pave_town(open_town(theirs.parent), tmp_path / "ours")
     town: Town = open_town(tmp_path / "ours")
     assert (town.name, town.split, town.file.origin_m, town.file.hashes) == ("mine", "test", (5, 5), {})
@@ -215,7 +215,7 @@ DISTRIBUTIONS = """<routes>
 
 
 def test_who_drives_one_of_several_routes_departs_from_the_lane_that_was_meant(theirs: Path, tmp_path: Path) -> None:
-    theirs.with_name("u.rou.xml").write_text(DISTRIBUTIONS, encoding="utf-8")
+    theirs.with_name("u.rou.xml").write_text(DISTRIBUTIONS)
     told = pave_town(open_town(theirs), tmp_path / "ours")
     found = {element.get("id"): element for element in elements(tmp_path / "ours", "u.rou.xml")}
     assert [found[f"f{k}"].get("departLane") for k in range(4)] == ["1", "2", "1", "2"]
@@ -273,7 +273,7 @@ def test_a_crossing_that_is_never_green_is_told(paved: tuple[Path, Path, Paved],
         for name in names
     )
     signals = theirs.parent / "signals" / "u.tll.xml"
-    signals.write_text(f"<additional>{logics}</additional>", encoding="utf-8")
+    signals.write_text(f"<additional>{logics}</additional>")
     (note,) = never_green(pave_town(open_town(theirs), tmp_path / "ours"))  # no program in the net is in force
     assert "program in an additional file" in note and re.findall(r"over \w+ at (\w+)", note) == ["B1"] * 4
     assert "add a phase there" in note and "--tls.rebuild" not in note
@@ -281,8 +281,8 @@ def test_a_crossing_that_is_never_green_is_told(paved: tuple[Path, Path, Paved],
 
 def test_no_ring_of_a_nema_controller_lets_walkers_go(tmp_path: Path) -> None:
     theirs = write_unpaved(tmp_path / "theirs", signals="NEMA")
-    text = theirs.read_text(encoding="utf-8").replace(",signals/u.tll.xml", "")
-    theirs.write_text(text, encoding="utf-8")
+    text = theirs.read_text().replace(",signals/u.tll.xml", "")
+    theirs.write_text(text)
     told = pave_town(open_town(theirs), tmp_path / "ours")
     old, new = (
         {logic.get("id"): logic for logic in elements(place, "u.net.xml") if logic.get("type") == "NEMA"}

@@ -52,11 +52,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     (place / "parts" / "deeper").mkdir(parents=True)
     for path, text in (PARTS | top | {"parts/deeper/signals.tll.xml": program}).items():
-        (place / path).write_text(f"<additional>{text}</additional>", encoding="utf-8")
+        (place / path).write_text(f"<additional>{text}</additional>")
     named = ",".join((*ADDITIONAL, "parts/deeper/signals.tll.xml"))
     for config, routes, more in (("city", "city.rou.xml", "city.add.xml"), ("plain", ",".join(ROUTES), named)):
         text = CONFIG.format(routes=routes, additional=more)
-        (place / f"{config}.sumocfg").write_text(text, encoding="utf-8")
+        (place / f"{config}.sumocfg").write_text(text)
     return place
 
 
@@ -92,7 +92,7 @@ def test_what_is_included_stands_where_it_is_named(tmp_path: Path) -> None:
     }
     (tmp_path / "deeper").mkdir()
     for name, text in texts.items():
-        (tmp_path / name).write_text(f"<additional>{text}</additional>", encoding="utf-8")
+        (tmp_path / name).write_text(f"<additional>{text}</additional>")
     needed = _for_routes([tmp_path / "mix.add.xml"]).getroot()
     assert needed is not None
     assert [element.get("id") for element in needed] == ["first", "train", "tram", "mix"]
@@ -125,7 +125,7 @@ def test_every_file_comes_once_and_none_from_outside(tmp_path: Path) -> None:
     def written(name: str, *included: str) -> Path:
         path = inside / name
         body = "".join(f'<include href="{other}"/>' for other in included)
-        path.write_text(f"<additional><!-- <include href='x'/> -->{body}</additional>", encoding="utf-8")
+        path.write_text(f"<additional><!-- <include href='x'/> -->{body}</additional>")
         return path
 
     last, first = written("last.xml"), written("first.xml", "last.xml", "../inside/last.xml", "")
@@ -135,7 +135,7 @@ def test_every_file_comes_once_and_none_from_outside(tmp_path: Path) -> None:
         ("../secret.xml", r"first\.xml: names .*secret\.xml, which is outside"),
         ("../inside/first.xml", r"include each other \(first\.xml -> first\.xml\); remove one <include>"),
     ):
-        (tmp_path / "secret.xml").write_text("<additional/>", encoding="utf-8")
+        (tmp_path / "secret.xml").write_text("<additional/>")
         with pytest.raises(TownError, match=told):
             with_included((written("first.xml", included),), inside)
     assert len(with_included((written("first.xml", "../secret.xml"),), None)) == 2

@@ -18,7 +18,7 @@ def test_shipped_towns_are_found_by_name_with_disjoint_splits() -> None:
 
 
 def test_shipped_towns_carry_licence_and_extract(manhattan_town: Town) -> None:
-    notice = (manhattan_town.folder / "LICENSE-DATA").read_text(encoding="utf-8")
+    notice = (manhattan_town.folder / "LICENSE-DATA").read_text()
     assert "(c) OpenStreetMap contributors" in notice and "ODbL" in notice
     assert (manhattan_town.folder / "osm" / "manhattan.osm.xml.gz").is_file()
     assert manhattan_town.file.attribution.startswith("(c) OpenStreetMap contributors")
@@ -42,7 +42,7 @@ def test_a_town_of_the_current_folder_comes_first(
 
 @pytest.mark.parametrize("text", ["", "<sumoConfiguration", "<sumoConfiguration/>", "<!DOCTYPE x><sumoConfiguration/>"])
 def test_broken_sumocfg_is_refused(text: str, tmp_path: Path) -> None:
-    (tmp_path / "x.sumocfg").write_text(text, encoding="utf-8")
+    (tmp_path / "x.sumocfg").write_text(text)
     with pytest.raises(TownError, match="sumocfg"):
         open_town(tmp_path)
 
@@ -54,9 +54,9 @@ def test_a_short_town_toml_leaves_the_origin_to_a_far_net(corner_town: Town, tmp
     net = folder / corner_town.net.name
     text = gzip.decompress(net.read_bytes())
     net.write_bytes(re.sub(rb'convBoundary="[^"]*"', b'convBoundary="%d,0,%d,100"' % (east_m, east_m + 100), text))
-    (folder / "town.toml").write_text('name = "far"\nsplit = "test"\n', encoding="utf-8")
+    (folder / "town.toml").write_text('name = "far"\nsplit = "test"\n')
     assert open_town(folder).file.origin_m == ((386_050, 50) if east_m > 10_000 else (0, 0))
-    (folder / "town.toml").write_text('name = "far"\nsplit = "test"\norigin_m = [7, 8]\n', encoding="utf-8")
+    (folder / "town.toml").write_text('name = "far"\nsplit = "test"\norigin_m = [7, 8]\n')
     assert open_town(folder).file.origin_m == (7, 8)
 
 

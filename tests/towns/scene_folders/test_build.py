@@ -36,13 +36,13 @@ def test_faults_in_scenes_are_named(tmp_path: Path) -> None:
         find_scene("moon")
     scene = tmp_path / "scene"
     shutil.copytree(find_scene("kerb-drop"), scene)
-    (scene / "more.edg.xml").write_text("<edges/>", encoding="utf-8")
+    (scene / "more.edg.xml").write_text("<edges/>")
     with pytest.raises(TownError, match=r"2 files \*\.edg\.xml"):
         build_scene(scene, tmp_path / "work")
     (scene / "more.edg.xml").unlink()
-    (scene / "street.nod.xml").write_text("<nodes/>", encoding="utf-8")
+    (scene / "street.nod.xml").write_text("<nodes/>")
     with pytest.raises(SumoError, match="scene kerb-drop"):
         build_scene(scene, tmp_path / "work")
-    (scene / "scene.toml").write_text("name = 3", encoding="utf-8")
+    (scene / "scene.toml").write_text("name = 3")
     with pytest.raises(ConfigError, match="name"):
         build_scene(scene, tmp_path / "work")

@@ -33,7 +33,7 @@ def test_a_crossing_is_never_green_when_no_phase_of_any_program_frees_it(road, t
     assert text.count('state="rrG"') == 1
     net, more = tmp_path / "dead.net.xml.gz", tmp_path / "more.add.xml"
     net.write_bytes(gzip.compress(text.replace('state="rrG"', 'state="rrr"').encode()))
-    more.write_text(SECOND_PROGRAM, encoding="utf-8")
+    more.write_text(SECOND_PROGRAM)
     assert never_green(replace(road, net=net)) == [True]
     assert never_green(replace(road, net=net, additional=(more,))) == [False]
 

@@ -55,8 +55,8 @@ def write_result(folder: Path, **changes: Any) -> dict[str, Any]:
     result = {**result_of(records, **said, **UNSAID).to_json(), **changes}
     episodes = {name: [item.to_json() for item in found] for name, found in records.items()}
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
-    (folder / "episodes.json").write_text(json.dumps(episodes), encoding="utf-8")
+    (folder / "result.json").write_text(json.dumps(result))
+    (folder / "episodes.json").write_text(json.dumps(episodes))
     return result
 
 
@@ -65,7 +65,7 @@ def score_anew(folder: Path) -> None:
     said = json.loads((folder / "result.json").read_text("utf-8"))
     named = {name: said[name] for name in ("suite", "set", "list_sha256")}
     result = result_of(read_episodes(folder), changed=tuple(said["changed"]), **named, **UNSAID)
-    (folder / "result.json").write_text(json.dumps(result.to_json()), encoding="utf-8")
+    (folder / "result.json").write_text(json.dumps(result.to_json()))
 
 
 def with_episodes(result: TestResult, episodes: Mapping[str, Sequence[EpisodeRecord]]) -> TestResult:

@@ -33,8 +33,8 @@ def test_no_column_is_cut_on_a_usual_screen(browser, tmp_path):  # noqa: F811 - 
 def test_the_sentence_stands_first_the_table_is_narrow_and_the_rule_is_that_of_its_own_list(tmp_path):
     write_result(tmp_path)
     result = read_result(tmp_path)
-    other = write_demo_page(tmp_path, result, **SHOWN).read_text(encoding="utf-8")
-    text = write_demo_page(tmp_path, replace(result, set="demo"), **SHOWN).read_text(encoding="utf-8")
+    other = write_demo_page(tmp_path, result, **SHOWN).read_text()
+    text = write_demo_page(tmp_path, replace(result, set="demo"), **SHOWN).read_text()
     assert text.index(verdict(result)) < text.index("<video") < text.index("<table")
     assert text.count('scope="col"') == 5, "policy and four figures"
     assert "How these drives were chosen" in text and "How these drives were chosen" not in other

@@ -71,7 +71,7 @@ def test_of_two_like_failures_the_faster_is_worse(tmp_path):
     path = tmp_path / "episodes.json"
     episodes = json.loads(path.read_text("utf-8"))
     episodes["net@0.75"][0]["path_m"][-1] = [4.0, 0.0]
-    path.write_text(json.dumps(episodes), encoding="utf-8")
+    path.write_text(json.dumps(episodes))
     score_anew(tmp_path)
     first = failures_of(read_result(tmp_path), tmp_path)[0]
     assert (first.policy, first.key, first.speed_mps) == ("net@0.75", (0, 0), pytest.approx(3.0 / 0.5))

@@ -77,7 +77,7 @@ def written(folder):
 def text(folder, said):
     path = written(folder)
     assert path == folder / "report.html"
-    return path.read_text(encoding="utf-8")
+    return path.read_text()
 
 
 def test_it_parses_and_no_request_leaves_it(text):
@@ -127,7 +127,7 @@ def test_numbers_are_those_of_the_result(text, folder, said):
             shown = re.findall(r'<td[^>]*data-key="([^"]*)"', line)
             wanted = [row[column.key] for column in columns if row[column.key] is not None]
             assert [float(value) for value in shown] == [pytest.approx(float(value)) for value in wanted]
-    rows = list(csv.DictReader(io.StringIO((folder / "report" / "table-all.csv").read_text(encoding="utf-8"))))
+    rows = list(csv.DictReader(io.StringIO((folder / "report" / "table-all.csv").read_text())))
     assert [row["policy"] for row in rows] == list(POLICIES)
     for row, wanted in zip(rows, said["pooled"], strict=True):
         assert float(row["score"]) == wanted["score"] and float(row["score_ci_low"]) == wanted["score_ci"][0]
@@ -143,7 +143,7 @@ def test_a_failure_has_its_pictures_or_says_why_not(text):
 
 
 def test_the_same_result_gives_the_same_bytes(folder, text):
-    assert written(folder).read_text(encoding="utf-8") == text
+    assert written(folder).read_text() == text
 
 
 def test_who_hardly_obeys_does_not_squeeze_the_figure_of_obedience(folder, said):
@@ -185,8 +185,8 @@ def test_files_of_a_town_or_part_of_any_name_lie_in_the_folder(tmp_path, name):
     folder = tmp_path / "a" / "result"
     write_result(folder)
     for file, old in (("episodes.json", "nowhere"), ("episodes.json", "hazard")):
-        text = (folder / file).read_text(encoding="utf-8").replace(json.dumps(old), json.dumps(name))
-        (folder / file).write_text(text, encoding="utf-8")
+        text = (folder / file).read_text().replace(json.dumps(old), json.dumps(name))
+        (folder / file).write_text(text)
     score_anew(folder)
     result = read_result(folder)
     write_suite_page(result, folder, failures_of(result, folder), {}, "", folder)

@@ -62,7 +62,7 @@ def test_both_curves_of_every_client_are_what_the_log_says(tmp_path):
     log_steps(run / "a", 0.5, 0.25)
     log_steps(run / "b", 0.5)
     assert main(["report", str(run)]) == 0
-    text = (run / "report.html").read_text(encoding="utf-8")
+    text = (run / "report.html").read_text()
     assert "Fig. 7a" in text and "Fig. 7b" in text and "http" not in text.replace("http-equiv", "")
     distances, lengths = (table(run / "report" / f"fig-7{name}.csv") for name in ("a-kpi1", "b-length"))
     assert [(r["client"], r["step"], float(r["kpi1"])) for r in distances] == [
@@ -88,7 +88,7 @@ def test_several_runs_are_one_page_that_says_which_is_which(tmp_path, monkeypatc
     assert "run/a: KPI 1 (mean of 2000 steps) never falls below 0.1768" in told
     assert "run/b: KPI 1: a mean needs 2000 steps" in told
     assert "alone: KPI 1 (mean of 2000 steps) is below 0.1768 from step 2000 on (2.0 min)" in told
-    page = (tmp_path / "runs" / "report" / "report.html").read_text(encoding="utf-8")
+    page = (tmp_path / "runs" / "report" / "report.html").read_text()
     assert "KPI 1 below 0.1768 from step" in page and "town corner, seed 1" in page
     clients = table(tmp_path / "runs" / "report" / "report" / "clients.csv")
     found = {r["client"]: r["KPI 1 below 0.1768 from step"] for r in clients}
@@ -108,7 +108,7 @@ def test_rounds_of_danger_networks_are_drawn_beside_the_episodes_of_others(tmp_p
     assert main(["report", "danger"]) == 0
     told = "danger: 2 rounds, 11000 steps, 100 updates, loss 0.500, 1.0 crashes per 1000 steps"
     assert told in capsys.readouterr().out
-    page = (danger / "report.html").read_text(encoding="utf-8")
+    page = (danger / "report.html").read_text()
     assert "Rounds of driving and learning" in page and "Fig. 7a" not in page
     alive = [
         (found["round"], float(found["steps-between-crashes"]))
@@ -117,7 +117,7 @@ def test_rounds_of_danger_networks_are_drawn_beside_the_episodes_of_others(tmp_p
     assert alive == [("2", 300.0)] and "Fig. 7b" not in page, "of the network alone"
     log(values, row(10), row(20, phase=2))
     assert main(["report", "danger", "values"]) == 0
-    both = (tmp_path / "runs" / "report" / "report.html").read_text(encoding="utf-8")
+    both = (tmp_path / "runs" / "report" / "report.html").read_text()
     assert "Rounds of driving and learning" in both and "Fig. 7b" in both
 
 
@@ -130,7 +130,7 @@ def test_values_that_promise_too_much_are_drawn_where_they_are_known(tmp_path):
         ("20", 0.25, 0.25), ("30", -0.75, -0.25),
     ]  # fmt: skip
     log(run, row(10, overestimate=""))
-    assert "value minus return</h3>" not in write_training_page(read_training([run]), run).read_text(encoding="utf-8")
+    assert "value minus return</h3>" not in write_training_page(read_training([run]), run).read_text()
 
 
 def rows_of(*kpi1):

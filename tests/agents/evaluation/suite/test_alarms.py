@@ -16,7 +16,7 @@ from wcsim.types import SeatSpec
 def ahead(tmp_path):
     """A recorded user who drives straight on."""
     stick = tmp_path / "ahead.csv"
-    stick.write_text("time_s,x,y\n" + "".join(f"{0.1 * k:.1f},0,1\n" for k in range(200)), encoding="utf-8")
+    stick.write_text("time_s,x,y\n" + "".join(f"{0.1 * k:.1f},0,1\n" for k in range(200)))
     return f"recorded:{stick}"
 
 

@@ -23,7 +23,7 @@ def assert_refused(folder, damage):
     path = folder / "episodes.json"
     episodes = json.loads(path.read_text("utf-8"))
     damage(episodes)
-    path.write_text(json.dumps(episodes), encoding="utf-8")
+    path.write_text(json.dumps(episodes))
     with pytest.raises(ConfigError):
         read_result(folder)
 
@@ -63,6 +63,6 @@ def test_a_policy_without_episodes_or_fields_is_refused(tmp_path):
 def test_files_that_contradict_each_other_are_refused(tmp_path, file, was, now):
     write_result(tmp_path)
     path = tmp_path / file
-    path.write_text(path.read_text("utf-8").replace(was, now, 1), encoding="utf-8")
+    path.write_text(path.read_text("utf-8").replace(was, now, 1))
     with pytest.raises(ConfigError, match="both of one test"):
         read_result(tmp_path)

@@ -151,7 +151,7 @@ def test_arrivals_are_nothing_where_no_episode_is_an_attempt_to_arrive():
 def test_what_else_a_new_figure_changes():
     """Its key is explained; results of before are read no more, so that they need another version of the score."""
     keys = [field.name for field in fields(ResultRow)]
-    page = (ROOT / "docs/suites.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/suites.md").read_text()
     explained = [key for key in keys if key.endswith("_ci") or f"`{key}`" in page]
     assert [key for key in keys if key not in explained] == ["policy", "part", "episodes"]
     assert (SCORE_VERSION, len(keys)) == (2, 54)

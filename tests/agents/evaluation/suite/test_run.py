@@ -45,14 +45,14 @@ def test_one_process_and_two_give_the_same_bytes_and_what_is_kept_is_not_driven_
     again = run_suite(SuiteOrder(suite=suite, out=tmp_path / "a"), ["follow"], lambda *said: heard.append(said))
     assert told(again) == told(one) and len(heard) == 2
     for path in (tmp_path / "a" / "kept").iterdir():
-        path.write_text("{", encoding="utf-8")
+        path.write_text("{")
     with pytest.raises(ConfigError, match="remove it"):
         run_suite(SuiteOrder(suite=suite, out=tmp_path / "a"), ["follow"], lambda *said: None)
 
 
 @pytest.mark.parametrize("kept", ["{}", '{"records": 3}', '{"records": [{"block": 0}]}', '{"records": [3]}'])
 def test_a_kept_result_that_is_none_is_refused_in_a_line(tmp_path, kept):
-    (tmp_path / "a.json").write_text(kept, encoding="utf-8")
+    (tmp_path / "a.json").write_text(kept)
     with pytest.raises(ConfigError, match="remove it"):
         _read_kept(tmp_path / "a.json")
 
@@ -131,7 +131,7 @@ def test_a_list_that_is_none_is_refused(tmp_path):
     for name in (str(tmp_path / "nothing.json"), "a" * 5000, "~nobody-is-called-so/list.json"):
         with pytest.raises(ConfigError, match="no such list"):
             open_suite(name)
-    (tmp_path / "bad.json").write_text('{"suite": "x", "set": "y"}', encoding="utf-8")
+    (tmp_path / "bad.json").write_text('{"suite": "x", "set": "y"}')
     with pytest.raises(ConfigError, match="blocks"):
         open_suite(str(tmp_path / "bad.json"))
 
