@@ -1,19 +1,17 @@
 """Planned faults: as many as were asked for, spread over a run, each when everybody is back."""
 
 import signal
-import time
 from dataclasses import replace
 from itertools import pairwise
 
 from benchmarks.soak.planned import FaultOrder, PlannedFaults
-from tests.benchmarks.soak.test_soak import state
+from tests.benchmarks.soak.test_soak import clock, state
 
 
 def played(monkeypatch, order, stuck=()):
     """A run of 400 looks half a second apart; the world does not go on in those of `stuck`."""
-    sent, now, ticks = [], [0.0], [0]
+    sent, now, ticks = [], clock(monkeypatch), [0]
     monkeypatch.setattr("benchmarks.soak.faults._send", lambda pid, number: sent.append((now[0], pid, number)))
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     faults = PlannedFaults(order, lambda state: now[0] / 200.0)
     for step in range(400):
         now[0] = 0.5 * step
@@ -50,10 +48,9 @@ def test_the_next_fault_waits_until_the_last_one_is_got_over(monkeypatch):
 
 def struck(monkeypatch, said, who):
     """After how many seconds a kill of `who` was got over, by what the world said so many seconds after it."""
-    now = [100.0]
+    now = clock(monkeypatch, 100.0)
     monkeypatch.setattr("benchmarks.soak.faults._send", lambda pid, number: None)
     monkeypatch.setattr("benchmarks.soak.planned._TARGETS", ((who, 1.0),))
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     faults = PlannedFaults(FaultOrder(kills=1, stops=0, lease_s=4.0), lambda state: 0.5)
     faults.act(state(tick=40))
     assert len(faults.faults) == 1

@@ -82,10 +82,16 @@ def state(tick: int, epoch: int = 0) -> LaunchProcessStates:
     )
 
 
-def test_faults_come_one_after_another_and_only_while_the_world_goes_on(monkeypatch):
-    sent, now = [], [0.0]
-    monkeypatch.setattr("benchmarks.soak.faults._send", lambda pid, number: sent.append((pid, number)))
+def clock(monkeypatch, at_s=0.0):
+    """The time that a test sets, as the only item of a list."""
+    now = [at_s]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_faults_come_one_after_another_and_only_while_the_world_goes_on(monkeypatch):
+    sent, now = [], clock(monkeypatch)
+    monkeypatch.setattr("benchmarks.soak.faults._send", lambda pid, number: sent.append((pid, number)))
     chaos = Chaos(7, until_s=300.0, lease_s=3.0)
     for step in range(1400):
         now[0] = 0.25 * step
@@ -105,7 +111,7 @@ def test_faults_come_one_after_another_and_only_while_the_world_goes_on(monkeypa
 
 @pytest.mark.parametrize(("lease_s", "least_s", "most_s"), [(3.0, 4.0, 8.0), (60.0, 80.0, 160.0)])
 def test_a_stopped_client_wakes_when_it_was_given_up_whatever_the_lease(monkeypatch, lease_s, least_s, most_s):
-    asked_s, now = [], [0.0]
+    asked_s, now = [], clock(monkeypatch)
 
     def strike(striker, fault, pid, wakes_s=None):
         striker.faults.append(fault)
@@ -113,7 +119,6 @@ def test_a_stopped_client_wakes_when_it_was_given_up_whatever_the_lease(monkeypa
 
     monkeypatch.setattr(Striker, "strike", strike)
     monkeypatch.setattr("benchmarks.soak.faults._MENU", (("client", "stop", 1.0),))
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     chaos = Chaos(7, until_s=300.0, lease_s=lease_s)
     for step in range(1000):
         now[0] = 0.25 * step
@@ -150,9 +155,8 @@ class Asked:
 
 
 def test_an_epoch_is_reckoned_at_the_pace_of_the_run_and_not_of_a_world_that_ends(monkeypatch, tmp_path):
-    now = [0.0]
+    now = clock(monkeypatch)
     monkeypatch.setattr("benchmarks.soak.faults._send", lambda pid, number: None)
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     order = SoakOrder(town="", config=quick_config(), seconds=60.0, folder=tmp_path)
     watch = _Watch(order, lambda done_s: None)
     watch.launcher = Asked()
@@ -171,10 +175,9 @@ def test_an_epoch_is_reckoned_at_the_pace_of_the_run_and_not_of_a_world_that_end
 
 
 def test_memory_is_looked_at_before_a_process_is_killed(monkeypatch, tmp_path):
-    done, now, killed = [], [0.0], 0
+    done, now, killed = [], clock(monkeypatch), 0
     monkeypatch.setattr("benchmarks.soak.faults._send", lambda pid, number: done.append(number))
     monkeypatch.setattr(GrowthLog, "look", lambda *given: done.append("look"))
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     watch = _Watch(SoakOrder(town="", config=quick_config(), seconds=60.0, folder=tmp_path), lambda done_s: None)
     for step in range(100):
         now[0] = 0.25 * step

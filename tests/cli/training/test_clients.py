@@ -2,13 +2,13 @@
 
 import os
 import signal
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.cli.conftest import QUICK, finished, parsed, start
+from tests.support.waiting import waited
 from wcsim.agents.clients.group_run import ResolvedGroupRun, create_group_run_folder, open_group_run_folder
 from wcsim.agents.clients.paid_times import read_group_run_times
 from wcsim.agents.networks.names import NETWORK_NAMES
@@ -40,15 +40,6 @@ SMALL = (
 
 def q_config(asked, *more):
     return resolve(asked.preset, *make_q_config_layers(asked, *more))
-
-
-def waited(what, within_s=120.0):
-    """What `what()` gives, once it gives something."""
-    deadline_s = time.monotonic() + within_s
-    while not (found := what()):
-        assert time.monotonic() < deadline_s, what
-        time.sleep(0.02)
-    return found
 
 
 def places(child):

@@ -8,7 +8,6 @@ import pytest
 
 from tests.physics.rig import shoot
 from tests.physics.sensors.test_camera import plant
-from tests.support.samples import strip_street
 from tests.support.yardstick import multiple
 from wcsim.config import CameraConfig
 from wcsim.physics.buffers import Images
@@ -191,11 +190,6 @@ def shots(rig: CameraRig, seat: int, ticks) -> list[bytes]:
         frame = shoot(rig, plant(), tick=tick, seat=seat)[0]
         out.append(frame.depth_m.tobytes() + frame.class_id.tobytes() + frame.rgb.tobytes())
     return out
-
-
-@pytest.fixture(scope="module")
-def mesh():
-    return strip_street().mesh
 
 
 def test_noise_is_that_of_seed_seat_camera_and_tick_alone(mesh):

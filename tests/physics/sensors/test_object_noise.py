@@ -218,11 +218,6 @@ def test_stereo_fails_in_places_of_the_world_at_its_rate_and_for_its_time():
     assert np.mean(failed(0.0, 0.05) == one) > 0.95 and np.mean((failed(0.0, 1.5) != 10.0) & (one != 10.0)) < 0.08
 
 
-@pytest.fixture(scope="module")
-def mesh():
-    return strip_street().mesh
-
-
 def shots(rig: CameraRig, seat: int, ticks) -> dict[int, bytes]:
     out = {}
     for tick in ticks:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.events import read_events
+from tests.support.waiting import waited
 from wcsim.config import RunConfig
 from wcsim.core.own_folder import create_runtime_folder, world_endpoint_from_folder
 from wcsim.server.launch.launcher import ProcessLauncher
@@ -287,23 +288,18 @@ def begun(folder, words="steps=100000"):
         text=True,
         cwd=Path(__file__).parents[3],
     )
-    deadline = time.monotonic() + 120.0
-    while True:
-        assert time.monotonic() < deadline, "the launcher's clients did not begin"
-        seen = json.loads((folder / "pids").read_text()) if (folder / "pids").is_file() else {"pids": [0], "steps": [0]}
-        if all(seen["pids"]) and all(seen["steps"]):
-            return child, seen["pids"]
-        time.sleep(0.02)
+    waited((folder / "pids").is_file)
+
+    def pids_of_all_at_work():
+        seen = json.loads((folder / "pids").read_text())
+        return all(seen["pids"]) and all(seen["steps"]) and seen["pids"]
+
+    return child, waited(pids_of_all_at_work)
 
 
 def gone(pids, within_s):
     """Whether all of these processes have ended."""
-    deadline = time.monotonic() + within_s
-    while any(Path(f"/proc/{pid}").exists() for pid in pids):
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
+    return waited(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), within_s)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -332,10 +328,7 @@ def test_world_and_clients_go_on_while_their_launcher_stands_still(who_had, tmp_
     child, pids = begun(tmp_path)
     child.send_signal(signal.SIGSTOP)
     wanted = 100 + json.loads((tmp_path / "pids").read_text())["steps"][0]
-    deadline = time.monotonic() + 120.0
-    while int((tmp_path / "a" / "step").read_text() or 0) < wanted:
-        assert time.monotonic() < deadline, "the client stands still, too"
-        time.sleep(0.02)
+    waited(lambda: int((tmp_path / "a" / "step").read_text() or 0) >= wanted)  # the client does not stand still, too
     child.send_signal(signal.SIGTERM)
     child.send_signal(signal.SIGCONT)
     out, _ = child.communicate(timeout=120)
