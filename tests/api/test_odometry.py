@@ -96,7 +96,7 @@ def test_a_range_draws_its_numbers_for_every_episode(corner):
 
 
 @pytest.mark.parametrize(
-    ("override", "says"),
+    "override, says",
     [
         ('vary.sensors={"odometry.colour"=[0,1]}', "expected one of .*odometry.ticks_per_turn"),
         ('vary.sensors={"lidar.beams"=[0,1]}', "not a number of an existing sensor"),

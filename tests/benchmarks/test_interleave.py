@@ -41,7 +41,7 @@ def test_turns_are_taken_and_all_ticks_told():
 
 
 @pytest.mark.parametrize(
-    ("contestant", "error", "told"),
+    "contestant, error, told",
     [
         (Contestant(make=refused, given=()), TownError, "nowhere: has no net"),
         (Contestant(make=Counts, given=("", 2), ticks=3), PhysicsError, "finite numbers"),

@@ -74,7 +74,7 @@ def test_one_actor_whose_update_is_missed_is_named_within_four_ticks(engine, poo
             now = after
 
 
-@pytest.mark.parametrize(("dx", "turn"), [(0.011, 0.0), (0.0, 0.03)])
+@pytest.mark.parametrize("dx, turn", [(0.011, 0.0), (0.0, 0.03)])
 def test_a_centimetre_or_a_small_turn_is_too_much(engine, pool, dx, turn):
     one = actor("v:a", 0.0, 0.0)
     tick(engine, pool, (one,), (one,))

@@ -41,7 +41,7 @@ def test_a_worlds_actors_are_those_of_its_traffic_alone_round_the_same_chairs(co
     assert any(actor.deflect_m for near in actors for actor in near), "somebody stepped aside"
 
 
-@pytest.mark.parametrize(("range_m", "reach_m"), [(10.0, 60.0), (40.0, 60.0), (150.0, 170.0)])
+@pytest.mark.parametrize("range_m, reach_m", [(10.0, 60.0), (40.0, 60.0), (150.0, 170.0)])
 def test_lights_are_known_as_far_as_a_camera_sees_their_heads(corner, monkeypatch, range_m, reach_m):
     asked = []
     monkeypatch.setattr(SumoSession, "signals", lambda self, places, within_m: asked.append(within_m) or ())

@@ -104,7 +104,7 @@ def test_files_are_read_whichever_way_the_axis_points(tmp_path, turn):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    "old, new, told",
     [
         (b"t_s,axis0", b"time,x", "begins with"),
         (b"\n0.02000,", b"\nnan,", "three finite numbers"),

@@ -107,7 +107,7 @@ def test_the_chairs_own_settings_are_driven():
     assert far.value > near.value + 0.1, "far from the axle it feels turns"
 
 
-@pytest.mark.parametrize(("plant", "judged"), [("rwd", True), ("mwd", True), (FWD, False)])
+@pytest.mark.parametrize("plant, judged", [("rwd", True), ("mwd", True), (FWD, False)])
 def test_rows_of_another_kind_of_chair_judge_no_other(plant, judged):
     found = _trials(TrialSetup(chair=ChairConfig(plant=plant), hz=120), ("peak", "falls_off", "kerb", "event"))
     assert {trial.judged for trial in found if trial.bound in ("rwd, mwd", "trial")} == {judged}

@@ -359,7 +359,7 @@ def test_a_place_that_turns_out_to_be_closed_is_named_after_the_work(wcsim, fold
 
 
 @pytest.mark.parametrize(
-    ("bbox", "message"),
+    "bbox, message",
     [
         ("25,60,25.1", "west,south,east,north"),
         ("a,b,c,d", "west,south,east,north"),
@@ -396,7 +396,7 @@ def test_an_import_never_replaces_what_is_no_town(wcsim, folder):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    "words, message",
     [
         ("", ("needs a source", "--osm FILE", "--bbox", "--sumocfg")),
         ("--osm tiny.osm --url http://localhost/", ("--url", "download")),

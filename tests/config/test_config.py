@@ -45,7 +45,7 @@ def test_an_override_reaches_its_key_and_nothing_else():
 
 
 @pytest.mark.parametrize(
-    ("override", "says"),
+    "override, says",
     [
         ("learn.gama=0.9", "learn.gama"),
         ("learn.gamma=1.5", "less than 1"),
@@ -70,7 +70,7 @@ def test_a_wrong_override_says_what_is_wrong(override, says):
 
 
 @pytest.mark.parametrize(
-    ("override", "says"),
+    "override, says",
     [
         ("cameras.0.range_m=500", "range_m.* got 500 m; expected at least 1 and at most 200 m"),
         ("cameras.0.hfov_deg=10", "hfov_deg.* got 10 deg; expected at least 20 and at most 140 deg"),

@@ -116,7 +116,7 @@ def outer(pair: Pair) -> float:
 
 
 @pytest.mark.parametrize(
-    ("where", "name", "value"),
+    "where, name, value",
     [
         (None, "FACTOR", 3.0),
         (None, "TABLE", np.arange(1.0, 4.0)),

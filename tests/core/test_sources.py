@@ -55,7 +55,7 @@ def test_only_what_is_needed_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize(
-    ("installed", "told"),
+    "installed, told",
     [
         ({"pybullet": "3.2.7"}, "3.2.7"),
         ({"pybullet-arm64": "3.2.8"}, "3.2.7"),

@@ -155,7 +155,7 @@ def test_help_is_given_though_the_assistance_is_off_and_not_by_a_policy_that_bro
 
 
 @pytest.mark.parametrize(
-    ("ends", "level"),
+    "ends, level",
     [
         (lambda each: each.switch(False), 1.0),
         (lambda each: each.set_level(0.3), 0.3),

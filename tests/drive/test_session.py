@@ -229,7 +229,7 @@ def test_a_stick_out_of_its_gate_is_in_it(session: DriveSession) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "error", "told"),
+    "wrong, error, told",
     [
         ({"town": "atlantis"}, TownError, "atlantis"),
         ({"profile": "nobody"}, ConfigError, "unknown user profile"),

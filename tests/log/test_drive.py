@@ -83,7 +83,7 @@ def test_a_tick_is_the_same_after_it_was_bytes(x, y, flags, action, samples):
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    "change, says",
     [
         ({"magic": "wcsim-log-2"}, "is of format 'wcsim-log-2'; expected 'wcsim-log-1'"),
         ({"tick_s": 0.0}, "header cannot be used"),

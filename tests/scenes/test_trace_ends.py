@@ -11,7 +11,7 @@ from wcsim.scenes.run import _run_scene
 from wcsim.towns.scene_folders.build import find_scene
 
 
-@pytest.mark.parametrize(("duration_s", "ticks"), [(0.9, [9]), (1.5, [10, 15]), (1.0, [10])])
+@pytest.mark.parametrize("duration_s, ticks", [(0.9, [9]), (1.5, [10, 15]), (1.0, [10])])
 def test_a_change_in_the_last_tick_is_told(duration_s, ticks, tmp_path):
     folder = tmp_path / "scene"
     shutil.copytree(find_scene("kerb-drop"), folder)

@@ -13,7 +13,7 @@ angle = st.floats(-math.pi, math.pi)
 unit = st.floats(-1.0, 1.0)
 
 
-@pytest.mark.parametrize(("name", "count"), [("square81", 81), ("disc69", 69)])
+@pytest.mark.parametrize("name, count", [("square81", 81), ("disc69", 69)])
 def test_sizes_and_lattice(name, count):
     actions = action_set(name)
     assert len(actions) == count == len({tuple(p) for p in actions.points})

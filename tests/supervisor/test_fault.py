@@ -10,7 +10,7 @@ def hit(kind, actor_id="", cause="own", impulse_Ns=50.0):
 
 
 @pytest.mark.parametrize(
-    ("reason", "contacts", "words"),
+    "reason, contacts, words",
     [
         ("collision", (hit("bicycle", "v:b:2"),), "drove into bicycle b:2"),
         ("collision", (hit("static"), hit("pedestrian", "p:a", "other", 60.0)), "was hit by pedestrian a"),

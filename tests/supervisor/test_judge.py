@@ -57,7 +57,7 @@ def test_the_penalty_grows_with_the_distance():
 
 
 @pytest.mark.parametrize(
-    ("crashed", "truncated", "expected"),
+    "crashed, truncated, expected",
     [
         (False, False, (False, False)),
         (True, False, (True, False)),

@@ -144,7 +144,7 @@ def crash_after(*speeds_mps: float, **events: Any) -> tuple[list[KpiStep], str]:
     return steps, str(kpi.make_crash_fields(steps[-1].events, (HIT,), steps, 0.1, RewardConfig())["fault"])
 
 
-@pytest.mark.parametrize(("still_ticks", "whose"), [(0, "other"), (8, "other"), (10, "own"), (50, "own")])
+@pytest.mark.parametrize("still_ticks, whose", [(0, "other"), (8, "other"), (10, "own"), (50, "own")])
 def test_who_stood_on_a_carriageway_for_a_second_is_at_fault_though_the_crash_moved_the_chair(still_ticks, whose):
     assert crash_after(1.0, *[0.0] * still_ticks)[1] == whose
 

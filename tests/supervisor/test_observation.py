@@ -164,9 +164,7 @@ def test_imu_is_scaled_and_held():
     )
 
 
-@pytest.mark.parametrize(
-    ("gyro", "yaw", "size"), [(False, False, 5), (True, False, 8), (False, True, 7), (True, True, 10)]
-)
+@pytest.mark.parametrize("gyro, yaw, size", [(False, False, 5), (True, False, 8), (False, True, 7), (True, True, 10)])
 def test_turn_rates_and_heading_can_be_seen_too(gyro, yaw, size):
     felt = replace(imu(), gyro_radps=np.array([0.4, -0.8, 99.0]), yaw_rad=math.pi / 6)
     got = _imu_vector(felt, gyro, yaw)
@@ -196,7 +194,7 @@ def test_every_class_has_a_colour():
     assert set(COLOURS) == set(ClassId)
 
 
-@pytest.mark.parametrize(("form", "most"), [("compact", 2), ("table3", 4)])
+@pytest.mark.parametrize("form, most", [("compact", 2), ("table3", 4)])
 def test_observation_is_quick(form, most):
     frame = sensors()
     assert multiple(lambda: seen(form, frame)) < most  # about a seventh of that

@@ -119,7 +119,7 @@ def test_a_thin_pole_is_solid():
 
 
 @pytest.mark.parametrize(
-    ("y", "yaw", "v", "expected"),
+    "y, yaw, v, expected",
     [
         (6.3, DOWN, 0.5, False),
         (5.3, DOWN, 1.3, True),  # off the kerb
@@ -317,7 +317,7 @@ def test_seconds_count_from_now():
     np.testing.assert_array_equal(np.isfinite(late), failing)
 
 
-@pytest.mark.parametrize(("tick_s", "steps"), [(0.1, 4), (0.05, 2), (0.02, 1), (0.25, 10)])
+@pytest.mark.parametrize("tick_s, steps", [(0.1, 4), (0.05, 2), (0.02, 1), (0.25, 10)])
 def test_a_waiting_command_lasts_a_tick(tick_s, steps):
     oracle = CrashOracle(
         STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points, tick_s

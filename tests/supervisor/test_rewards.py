@@ -52,7 +52,7 @@ def contact(kind, part, impulse=1.0) -> Contact:
 
 
 @pytest.mark.parametrize(
-    ("distance", "base", "joystick"),
+    "distance, base, joystick",
     [
         (0.0, 1.0, 0.0),
         (0.1768, 1.0, 0.0),
@@ -71,7 +71,7 @@ def test_joystick_rows(distance, base, joystick):
 
 
 @pytest.mark.parametrize(
-    ("peak", "penalty"),
+    "peak, penalty",
     [
         ((20, 20, 20), 0),
         ((30, 0, 0), -1),
@@ -87,7 +87,7 @@ def test_acceleration_rows(peak, penalty):
 
 
 @pytest.mark.parametrize(
-    ("roll", "pitch", "penalty"),
+    "roll, pitch, penalty",
     [(5, 20, 0), (12.5, 0, -1), (-12.5, 0, -1), (20, 0, -2), (0, 25, -1), (0, -30, -2), (20, 30, -4), (4.9, 19.9, 0)],
 )
 def test_tilt_rows(roll, pitch, penalty):
@@ -136,7 +136,7 @@ def test_empty_window_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("kind", "part", "impulse", "expected"),
+    "kind, part, impulse, expected",
     [
         ("ground", "wheel", 500.0, ""),
         ("kerb", "caster", 500.0, ""),
@@ -157,7 +157,7 @@ def test_which_contacts_crash(kind, part, impulse, expected):
 
 
 @pytest.mark.parametrize(
-    ("kind", "part", "impulse", "expected"),
+    "kind, part, impulse, expected",
     [
         ("ground", "wheel", 500.0, "drop"),
         ("ground", "footplate", 80.0, "drop"),  # where it falls to
@@ -172,7 +172,7 @@ def test_a_fall_explains_what_the_ground_does_and_not_what_others_do(kind, part,
 
 
 @pytest.mark.parametrize(
-    ("peak", "roll_deg", "pitch_deg", "expected"),
+    "peak, roll_deg, pitch_deg, expected",
     [
         ((0, 0, 0), 0.0, 0.0, ""),
         ((40, 40, 40), 0.0, 0.0, ""),

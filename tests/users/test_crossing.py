@@ -46,7 +46,7 @@ def test_the_crossing_is_found_where_it_is():
 
 
 @pytest.mark.parametrize(
-    ("colours", "red", "light"),
+    "colours, red, light",
     [("rGGr", False, True), ("GrrG", True, True), ("GGrG", True, True), ("ggyg", True, True), ("oooo", False, False)],
 )
 def test_lights(colours, red, light):
@@ -63,7 +63,7 @@ def test_without_a_light_nothing_is_red():
 
 
 @pytest.mark.parametrize(
-    ("vehicle", "conflict"),
+    "vehicle, conflict",
     [
         (actor(ActorKind.CAR, 20.0, -2.0, v=10.0), True),  # on it in 1.5 s
         (actor(ActorKind.CAR, 0.0, 2.0, v=10.0), True),  # in 3.5 s, when the chair is in that lane
@@ -81,9 +81,7 @@ def test_vehicles(vehicle, conflict):
     assert _has_conflict(ROAD, (vehicle,)) == conflict
 
 
-@pytest.mark.parametrize(
-    ("colours", "from_m", "waits"), [("rGGr", 28.0, False), ("rGGr", 22.0, True), ("oooo", 28.0, True)]
-)
+@pytest.mark.parametrize("colours, from_m, waits", [("rGGr", 28.0, False), ("rGGr", 22.0, True), ("oooo", 28.0, True)])
 def test_at_green_those_far_away_have_red_and_are_not_waited_for(colours, from_m, waits):
     here = CrossingStopPlanner((ROAD,), RoutePolyline(ROUTE), None, 1.0, make_rng(0, "user"), 0.57)
     red, now = (SignalState(tls_id="t", colours="GrrG"),), (SignalState(tls_id="t", colours=colours),)
@@ -128,7 +126,7 @@ def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_reached():
 
 @pytest.mark.parametrize("kind", [ActorKind.BICYCLE, ActorKind.SCOOTER])
 @pytest.mark.parametrize(
-    ("x", "y", "yaw", "v", "waits"),
+    "x, y, yaw, v, waits",
     [
         pytest.param(30.0, -2.0, 0.0, 5.0, True, id="on the road"),
         pytest.param(50.0, 3.5, math.pi, 5.0, True, id="at its edge"),

@@ -54,7 +54,7 @@ def test_between_two_edges_the_middle_is_held_and_no_step_is_left():
     assert smooth[0] == smooth[-1] == 0.0
 
 
-@pytest.mark.parametrize(("rise_cm", "is_edge"), [(5, False), (6, True)])
+@pytest.mark.parametrize("rise_cm, is_edge", [(5, False), (6, True)])
 def test_a_step_that_a_wheel_takes_is_no_edge(rise_cm, is_edge):
     grid = strip_street().grid
     height_cm = np.where(grid.height_cm > 6, rise_cm, 0).astype(np.uint8)

@@ -37,7 +37,7 @@ def test_what_was_missed_stays_missed_and_what_was_seen_stays_seen():
 
 
 @pytest.mark.parametrize(
-    ("what", "expected"),
+    "what, expected",
     [
         ({"obstacles": [(5.5, 0.0, 0.1)]}, True),
         ({"obstacles": [(7.0, 0.0, 0.1)]}, False),
@@ -63,7 +63,7 @@ def look(*actors, name="competent", seed=0):
 
 
 @pytest.mark.parametrize("kind", [ActorKind.BICYCLE, ActorKind.SCOOTER])
-@pytest.mark.parametrize(("x_m", "known"), [(23.0, True), (-23.0, True), (27.0, False)])
+@pytest.mark.parametrize("x_m, known", [(23.0, True), (-23.0, True), (27.0, False)])
 def test_riders_are_traffic_from_both_sides_and_far_away_nothing_to_go_around(kind, x_m, known):
     seen = look(actor(kind, x_m, 0.0, v=5.0))
     assert (len(seen.vehicles), seen.things) == (int(known), ())
@@ -82,7 +82,7 @@ def test_a_rider_near_by_is_avoided_as_people_are_and_detected_or_missed_as_both
     assert behind.vehicles and not behind.things
 
 
-@pytest.mark.parametrize(("ahead_m", "near"), [(24.0, True), (26.0, False)])
+@pytest.mark.parametrize("ahead_m, near", [(24.0, True), (26.0, False)])
 def test_a_vehicle_far_away_is_watched_and_nothing_to_go_around_yet(ahead_m, near):
     seen = look(actor(ActorKind.CAR, ahead_m, 0.0, v=9.0))
     assert len(seen.vehicles) == 1 and bool(seen.things) == near

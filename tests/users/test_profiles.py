@@ -98,7 +98,7 @@ def test_what_is_left_out_is_the_bases(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text, message",
     [
         ("reaction_s = 9", "reaction_s: got 9; expected a number, 0 to 3"),
         ("reaction_s = nan", "finite"),

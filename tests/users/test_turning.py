@@ -48,7 +48,7 @@ def test_in_a_passage_the_chair_goes_on_or_back_to_where_it_opens():
     assert abs(nowhere.turn_rad) <= 3.0
 
 
-@pytest.mark.parametrize(("y", "yaw"), [(4.45, 0.0), (4.45, math.pi), (4.8, 2.5), (4.7, -0.5)])
+@pytest.mark.parametrize("y, yaw", [(4.45, 0.0), (4.45, math.pi), (4.8, 2.5), (4.7, -0.5)])
 def test_a_user_that_turns_round_stays_on_the_pavement(y, yaw):
     to_x = 40.0 if math.cos(yaw) < 0 else 0.0
     sim = Sim(make_user(street=STREET), polyline((20.0, 5.2), (to_x, 5.2)), Chair(x=20.0, y=y, yaw=yaw))

@@ -118,7 +118,7 @@ def test_profiles_differ_as_they_should():
     assert speed("slow") < 0.85 * speed("competent")
 
 
-@pytest.mark.parametrize(("y", "yaw"), [(5.5, math.pi), (5.5, math.pi / 2), (6.8, 0.0), (4.6, -0.8)])
+@pytest.mark.parametrize("y, yaw", [(5.5, math.pi), (5.5, math.pi / 2), (6.8, 0.0), (4.6, -0.8)])
 def test_a_user_pushed_away_or_turned_around_returns(y, yaw):
     sim = Sim(make_user(), straight_route(), Chair(x=5.0, y=y, yaw=yaw))
     track = sim.run(25.0)
@@ -275,7 +275,7 @@ def test_a_chair_that_has_rolled_over_the_line_at_red_waits_there_and_not_in_the
     assert here.stop_m(11.2, 0.0, red, ()) is None
 
 
-@pytest.mark.parametrize(("beside_m", "before_m"), [(2.5, 0.87 + 0.75), (0.5, 0.87 + 3.0)])
+@pytest.mark.parametrize("beside_m, before_m", [(2.5, 0.87 + 0.75), (0.5, 0.87 + 3.0)])
 def test_along_the_kerb_the_user_waits_before_the_front_can_swing_over_it(beside_m, before_m):
     """The road begins at y = 4; the way runs beside it and turns onto the crossing at x = 40."""
     y = 4.0 + beside_m
@@ -413,7 +413,7 @@ def test_before_its_first_route_the_user_stands_still():
     assert user.route_progress_m == 0.0 and user.intent == Joystick(0.0, 0.0)
 
 
-@pytest.mark.parametrize(("steps", "dt_s"), [(24, 0.0), (24, 0.1), (24, math.nan), (0, 0.004)])
+@pytest.mark.parametrize("steps, dt_s", [(24, 0.0), (24, 0.1), (24, math.nan), (0, 0.004)])
 def test_an_impossible_step_is_refused(steps, dt_s):
     with pytest.raises(ConfigError, match="at least one"):
         make_user("slow").move_hand(steps, dt_s)

@@ -89,7 +89,7 @@ def test_a_policy_that_fails_at_once_leaves_no_half_video(corner_town, tmp_path,
     assert not world_in_this_process()
 
 
-@pytest.mark.parametrize(("size", "span_m"), [(360, 60.0), (900, 60.0), (480, 30.0)])
+@pytest.mark.parametrize("size, span_m", [(360, 60.0), (900, 60.0), (480, 30.0)])
 def test_the_bar_of_the_scale_is_ten_metres_long(size, span_m):
     ground = np.full((size, size, 3), 200, np.uint8)
     image = ground.copy()

@@ -29,7 +29,7 @@ from wcsim.towns.scenario.overrides import Override
 
 
 @pytest.mark.parametrize(
-    ("error", "code"),
+    "error, code",
     [
         (errors.InterruptedRunError, ClientExitCode.STOPPED),
         (_ProcessGrownError, ClientExitCode.GROWN),

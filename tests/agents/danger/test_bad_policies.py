@@ -21,7 +21,7 @@ def saved(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("setting", "told"),
+    "setting, told",
     [
         ("env.actions=disc69", "actions differ"),
         ("env.classes=wcsim", "classes differ"),
@@ -35,7 +35,7 @@ def test_a_run_with_other_actions_classes_or_pictures_is_refused(saved: Path, se
 
 
 @pytest.mark.parametrize(
-    ("bad", "told"),
+    "bad, told",
     [
         ({"odometry": None}, "no odometry"),
         ({"imu": np.zeros(5, np.float32)}, "5 numbers of the IMU.*env.observe_gyro=true"),

@@ -99,7 +99,7 @@ def test_half_of_a_batch_is_tight_where_there_is_tightness():
 
 
 @pytest.mark.parametrize(
-    ("words", "drawn"),
+    "words, drawn",
     [
         ((), {True, False}),
         (("cameras.0.yaw_deg=20",), {True, False}),

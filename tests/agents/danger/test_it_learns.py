@@ -133,7 +133,7 @@ def _upside_down(monkeypatch):
 @pytest.mark.proof
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize(
-    ("fault", "part"),
+    "fault, part",
     [
         (_a_tick_late, "roll_out"),
         (_pictures_alone, "roll_out"),

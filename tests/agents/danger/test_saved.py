@@ -68,7 +68,7 @@ def test_weights_that_are_not_those_of_the_description_are_refused(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
+    "key, value",
     [
         *(("eye", "ear"), ("window", 0), ("width", 10**9), ("network", "no/name")),
         *((part, 7) for part in ("schema_version", "algorithm", "net", "rule", "weights_sha256")),

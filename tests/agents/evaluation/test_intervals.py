@@ -6,7 +6,7 @@ from wcsim.agents.evaluation.suite.intervals import FEWEST, bootstrapped, garwoo
 
 
 @pytest.mark.parametrize(
-    ("events", "low", "high"),
+    "events, low, high",
     [(0, 0.0, 3.689), (1, 0.0253, 5.572), (5, 1.623, 11.668), (20, 12.217, 30.888), (100, 81.364, 121.627)],
 )
 def test_bounds_are_those_of_tables(events, low, high):
@@ -20,7 +20,7 @@ def test_many_events_give_an_interval_that_shrinks_towards_them():
 
 
 @pytest.mark.parametrize(
-    ("count", "of", "low", "high"),
+    "count, of, low, high",
     [(0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (5, 10, 0.2366, 0.7634), (81, 263, 0.2553, 0.3662)],
 )
 def test_shares_have_the_bounds_of_tables_and_a_width_at_their_ends(count, of, low, high):

@@ -44,7 +44,7 @@ PLAIN = [("-", 0.0, 10.0), ("a", 10.0, 16.0), ("-", 16.0, 30.0)]
 
 
 @pytest.mark.parametrize(
-    ("pieces", "roads", "expected"),
+    "pieces, roads, expected",
     [
         (PLAIN, [(10.0, 16.0)], True),
         (PLAIN, [(9.3, 16.7)], True),  # kerbs that run aslant

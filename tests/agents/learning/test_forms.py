@@ -68,7 +68,7 @@ def config(form: str, *words: str) -> RunConfig:
     return resolve(RunConfig(cameras=(CAMERA,)), (*SMALL, f"env.observation={form}", *words))
 
 
-@pytest.mark.parametrize(("form", "words"), FORMS)
+@pytest.mark.parametrize("form, words", FORMS)
 def test_a_network_learns_from_it_goes_on_and_is_loaded(tmp_path: Path, form: str, words: tuple[str, ...]) -> None:
     asked = a_run(config(form, *words), tmp_path / "whole", 1)
     frames = asked.config.env.frames
@@ -106,7 +106,7 @@ def test_replay_gives_back_what_was_stored_to_the_bit(form: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("form", "keys"), [("compact_rgb", ("seg", "depth", "rgb")), ("table3", ("segmentation", "depth"))]
+    "form, keys", [("compact_rgb", ("seg", "depth", "rgb")), ("table3", ("segmentation", "depth"))]
 )
 def test_images_have_a_window_oldest_first(form: str, keys: tuple[str, ...]) -> None:
     space = window_observation_space(make_observation_space(form, 20, 16), 3)  # type: ignore[arg-type]

@@ -112,7 +112,7 @@ def test_weights_that_are_a_pickle_are_refused(saved):
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    "changes, says",
     [({"schema_version": 2}, "schema_version"), ({"surprise": 1}, "surprise"), ({"reward_scale": -1}, "reward_scale"),
      ({"image_hw_px": [24, 100000]}, "image_hw_px"), ({"net": 3}, "net")],
 )  # fmt: skip

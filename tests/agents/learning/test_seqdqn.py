@@ -264,7 +264,7 @@ def _returns_go_on_after_an_end(monkeypatch):
 @pytest.mark.proof
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize(
-    ("fault", "n_step", "bar"),
+    "fault, n_step, bar",
     [(None, 1, 0.15), (_the_target_stands_still, 1, 0.15), (None, 3, 0.2), (_returns_go_on_after_an_end, 3, 0.2)],
 )
 def test_the_values_of_a_chain_are_missed_with_a_planted_fault_alone(fault, n_step, bar, seed, monkeypatch):

@@ -77,7 +77,7 @@ def test_a_carried_state_replaces_the_window():
 
 
 @pytest.mark.parametrize(
-    ("learn", "told"),
+    "learn, told",
     [
         ({"mirror": True}, r"learn\.mirror=true with learn\.memory=groups"),
         ({"aid": "oracle"}, r"learn\.aid=oracle with learn\.memory=groups"),
@@ -89,16 +89,14 @@ def test_what_does_not_go_together_is_refused(learn, told):
         model(**learn)
 
 
-@pytest.mark.parametrize(
-    ("key", "value"), [("group_steps", 0), ("group_steps", 1001), ("burn_in", -1), ("memory", "x")]
-)
+@pytest.mark.parametrize("key, value", [("group_steps", 0), ("group_steps", 1001), ("burn_in", -1), ("memory", "x")])
 def test_settings_have_bounds(key, value):
     with pytest.raises(ConfigError, match=key):
         resolve("dqn", (f"learn.{key}={value}",))
 
 
 @pytest.mark.parametrize("memory", ["steps", "groups", "windows"])
-@pytest.mark.parametrize(("network", "window"), [("patch", 1), ("conv3d", 3)])
+@pytest.mark.parametrize("network, window", [("patch", 1), ("conv3d", 3)])
 def test_a_network_without_a_state_learns_from_all_three(memory, network, window):
     given = config(window=window, network=network, memory=memory)
     learner = build_q_learner(given, DummyVecEnv([lambda: WindowedStreet(window, CAMERA, 23)]), 0)

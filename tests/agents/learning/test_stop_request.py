@@ -24,7 +24,7 @@ def test_a_run_that_is_stopped_while_its_world_is_away_keeps_all_its_steps(tmp_p
     assert signal.getsignal(WAIT_NO_MORE) is before
 
 
-@pytest.mark.parametrize(("again", "last"), [(False, 149), (True, 120)])
+@pytest.mark.parametrize("again, last", [(False, 149), (True, 120)])
 def test_ctrl_c_while_the_world_is_silent_shortens_the_wait_and_keeps_all_steps(again, last, tmp_path):
     """A second one, `again` while that is saved, leaves the checkpoint before."""
 

@@ -252,7 +252,7 @@ def test_a_reward_that_is_no_number_is_refused_where_it_comes_and_the_run_goes_o
     assert all(row["loss"] and row["return"] for row in read_metrics(tmp_path / "run" / "metrics.csv")[2:])
 
 
-@pytest.mark.parametrize(("value", "told"), [(1e6, 1e6), (float("inf"), "inf")])
+@pytest.mark.parametrize("value, told", [(1e6, 1e6), (float("inf"), "inf")])
 def test_values_beyond_all_returns_are_said_once(value, told, tmp_path, monkeypatch):
     monkeypatch.setattr(SeqDQN, "_update", lambda self, loss: setattr(self, "max_abs_q", value))
     short = config(total_steps=60, phase1_steps=20, checkpoint_every=20)

@@ -19,7 +19,7 @@ def test_a_first_layer_is_counted_as_it_is_made():
     assert measure_network_cost("patch", 60, 80, runs=1).macs > 15 * 20 * 24 * 11 * 16
 
 
-@pytest.mark.parametrize(("more_ms", "fits"), [(-1.0, True), (1.0, False)])
+@pytest.mark.parametrize("more_ms, fits", [(-1.0, True), (1.0, False)])
 def test_a_tick_has_a_reserve_for_the_segmentation(more_ms, fits):
     p99_ms = LIMIT_MS - RESERVE_MS + more_ms
     cost = _NetworkCost(name="a", window=1, params=1, macs=1, mb=1.0, p50_ms=1.0, p99_ms=p99_ms, onnx_p50_ms=None)

@@ -126,7 +126,7 @@ def test_other_observations_are_refused():
 
 
 @EACH_WINDOWED
-@pytest.mark.parametrize(("size", "frames"), [((60, 80), 4), ((33, 47), 1), ((24, 32), 16)])
+@pytest.mark.parametrize("size, frames", [((60, 80), 4), ((33, 47), 1), ((24, 32), 16)])
 def test_windowed_networks_take_any_window(network, size, frames):
     net = q_net(*size, frames, network=network)
     assert net(batch(*size, [(0, 0), (1, 0)], frames)).shape == (2, 81)
@@ -299,7 +299,7 @@ class NoArguments(nn.Module):
         super().__init__()
 
 
-@pytest.mark.parametrize(("network", "says"), [(Flat, "expected a tensor"), (NoArguments, "could not be built")])
+@pytest.mark.parametrize("network, says", [(Flat, "expected a tensor"), (NoArguments, "could not be built")])
 def test_networks_that_break_the_contract_are_explained(network, says, monkeypatch):
     monkeypatch.setitem(registry.NETWORKS, "wrong", network)
     with pytest.raises(PolicyError, match=says):

@@ -22,7 +22,7 @@ def drawn(space):
     return {key: torch.as_tensor(np.asarray(value))[None] for key, value in space.sample().items()}
 
 
-@pytest.mark.parametrize(("gyro", "yaw"), [(False, False), (True, False), (False, True), (True, True)])
+@pytest.mark.parametrize("gyro, yaw", [(False, False), (True, False), (False, True), (True, True)])
 def test_a_network_takes_what_the_observation_has(gyro, yaw):
     space = make_observation_space("compact", 32, 24, count_imu_values(gyro, yaw))
     net = QNet(space, spaces.Discrete(81), NetSpec())

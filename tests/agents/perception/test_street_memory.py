@@ -65,7 +65,7 @@ def test_after_a_long_way_its_place_is_no_longer_sure(memory):
     assert len(memory.points_B_m(HERE, KEEP_WAY_M + 0.1)) == 0
 
 
-@pytest.mark.parametrize(("times", "brief"), [(1, False), (5, True)])
+@pytest.mark.parametrize("times, brief", [(1, False), (5, True)])
 def test_what_was_seen_once_and_who_can_walk_off_is_kept_for_seconds(memory, times, brief):
     look(memory, POST, times=times, brief=brief)
     look(memory, times=round(KEEP_BRIEFLY_S / 0.1))

@@ -57,7 +57,7 @@ WALL = box(2.0, 3.0, -3, 3, 0, 3)
 
 
 @pytest.mark.parametrize(
-    ("name", "surface", "blocked"),
+    "name, surface, blocked",
     [
         ("level ground", ground, False),
         ("a wall near", WALL, True),

@@ -60,7 +60,7 @@ def drive(surface, ticks, stick=AHEAD, driver=None):
 
 
 @pytest.mark.parametrize(
-    ("name", "surface", "at_m"),
+    "name, surface, at_m",
     [
         ("level ground", ground, None),
         ("a step that casters climb", box(1.8, 9.0, -5, 5, 0, 0.04), None),

@@ -88,7 +88,7 @@ def test_the_highest_value_wins_states_go_round_and_an_episode_begins_anew(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("made", "seen", "said"),
+    "made, seen, said",
     [
         ({"joystick": "speed"}, SEEN, "wants an input 'speed'; this test observes depth, joystick"),
         ({"actions": 5}, SEEN, "expected 9 finite ones"),

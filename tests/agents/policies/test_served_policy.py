@@ -94,7 +94,7 @@ def test_a_suite_that_asks_for_the_version_names_the_actions_too():
 
 
 @pytest.mark.parametrize(
-    ("answer", "said"),
+    "answer, said",
     [
         (b'{"action": 1.5}', "a whole number"),
         (b'{"action": true}', "a whole number"),

@@ -119,7 +119,7 @@ def test_variants_are_drawn_by_key():
 
 
 @pytest.mark.parametrize(
-    ("variant", "told"),
+    "variant, told",
     [
         ("world.attention_share=0.7 cameras.0.width=3", "unknown key"),
         ("vary.action_delay_ticks=[0, 2]", "no blanks within a value"),

@@ -244,7 +244,7 @@ def test_a_sparse_file_in_place_of_arrays_is_never_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "change"),
+    "name, change",
     [
         ("weights", lambda value: torch.full_like(value, torch.nan)),
         ("weights", lambda value: value.double()),

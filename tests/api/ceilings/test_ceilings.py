@@ -37,7 +37,7 @@ def test_tokens_are_counted_and_neither_docstrings_nor_joined_lines_matter() -> 
 
 
 @pytest.mark.parametrize(
-    ("code", "ticks", "starts"),
+    "code, ticks, starts",
     [
         ("world.tick(1)", True, False),
         ("self._world.tick(1)", True, False),

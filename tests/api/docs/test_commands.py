@@ -80,7 +80,7 @@ def understood(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("understood")
-@pytest.mark.parametrize(("page", "words"), SHOWN, ids=name_of)
+@pytest.mark.parametrize("page, words", SHOWN, ids=name_of)
 def test_a_command_of_a_page_is_understood(page: Path, words: list[str]) -> None:
     del page
     with pytest.raises(Understood):

@@ -28,7 +28,7 @@ def test_every_face_has_an_example():
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "code"), EXAMPLES[:3], ids=[name for name, _ in EXAMPLES[:3]])
+@pytest.mark.parametrize("name, code", EXAMPLES[:3], ids=[name for name, _ in EXAMPLES[:3]])
 def test_an_example_runs(name, code, corner, tmp_path):
     assert code.count('"helsinki"') == 1
     code = code.replace('"helsinki"', f"{str(corner)!r}, {NO_WARMUP}").replace("10_000", "108")

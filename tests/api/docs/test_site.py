@@ -54,7 +54,7 @@ def test_every_name_of_the_api_page_leads_to_its_signature(site: Path) -> None:
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
-    ("text", "stray"),
+    "text, stray",
     [("[a](gone.md)", ""), ("[a](#gone)", ""), ("[a](other.md#gone)", ""), ("good", "# a page in no part\n")],
     ids=["page", "anchor", "anchor of another page", "page in no part"],
 )

@@ -58,7 +58,7 @@ UNHURT = "episodes without own crash in"
 
 
 @pytest.mark.parametrize(
-    ("own", "change", "missed"),
+    "own, change, missed",
     [
         ({"free": 30, "crossing": 9}, {}, {"own crashes", "own crashes per km", "score", "arrivals in part crossing"}),
         ({"tight": 12}, {}, {"own crashes", f"{UNHURT} hazard", f"{UNHURT} tight"}),

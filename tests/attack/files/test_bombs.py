@@ -214,7 +214,7 @@ def test_an_entry_that_comes_twice_is_refused(tmp_path: Path, sound: policies.So
 
 
 @pytest.mark.parametrize(
-    ("value", "dtype"),
+    "value, dtype",
     [
         (1e300, torch.float64), (0.1, torch.float64), (0.1, torch.float16), (0.1, torch.bfloat16), (1, torch.int8),
         (1, torch.bool), (1 + 2j, torch.complex64), (0.1, torch.float8_e4m3fn), (0.1, torch.float8_e5m2),

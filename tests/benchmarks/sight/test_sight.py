@@ -18,7 +18,7 @@ def test_every_question_is_asked_of_a_street_the_same_way_each_time(corner_town)
     assert 3.0 < float(truths.get("distance", 4.0)) < 25.0 and 0.3 < float(truths["speed"]) < 2.0
 
 
-@pytest.mark.parametrize(("question", "truth", "right", "wrong"), [
+@pytest.mark.parametrize("question, truth, right, wrong", [
     ("kerb", "A", "a", "B"), ("distance", "10.0", "11.9", "12.1"), ("speed", "1.00", "0.85", "1.3"),
 ])  # fmt: skip
 def test_answers_are_counted(tmp_path, capsys, question, truth, right, wrong):

@@ -109,7 +109,7 @@ def test_faults_come_one_after_another_and_only_while_the_world_goes_on(monkeypa
     assert sum(number == signal.SIGCONT for _, number in sent) == paused
 
 
-@pytest.mark.parametrize(("lease_s", "least_s", "most_s"), [(3.0, 4.0, 8.0), (60.0, 80.0, 160.0)])
+@pytest.mark.parametrize("lease_s, least_s, most_s", [(3.0, 4.0, 8.0), (60.0, 80.0, 160.0)])
 def test_a_stopped_client_wakes_when_it_was_given_up_whatever_the_lease(monkeypatch, lease_s, least_s, most_s):
     asked_s, now = [], clock(monkeypatch)
 
@@ -127,7 +127,7 @@ def test_a_stopped_client_wakes_when_it_was_given_up_whatever_the_lease(monkeypa
     assert least_s <= min(asked_s) < 1.1 * least_s and 0.9 * most_s < max(asked_s) <= most_s
 
 
-@pytest.mark.parametrize(("lease_s", "slow"), [(3.0, ["recovery_client_p99_s"]), (60.0, [])])
+@pytest.mark.parametrize("lease_s, slow", [(3.0, ["recovery_client_p99_s"]), (60.0, [])])
 def test_a_recovery_is_slow_by_the_lease_that_was_asked_for(tmp_path, lease_s, slow):
     order = SoakOrder(town="", config=quick_config(), seconds=60.0, folder=tmp_path, lease_s=lease_s)
     times = RecoveryTimes(client_s=(lease_s, 40.0), world_s=(12.0,), overlap_s=(), rejoin_s=())

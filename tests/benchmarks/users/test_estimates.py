@@ -66,7 +66,7 @@ def test_a_hand_shows_its_parameters(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "fault", "row"),
+    "name, fault, row",
     [
         ("competent", {"reaction_s": 0.35}, "reaction_s"),
         ("slow", {"lag_s": 0.15}, "lag_s"),

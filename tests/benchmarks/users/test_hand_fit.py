@@ -52,7 +52,7 @@ def test_users_on_their_way_show_their_parameters(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "fault", "row"),
+    "name, fault, row",
     [
         ("ataxic", {"gain": (0.6, 1.2)}, "gain_x"),
         ("ataxic", {"gain": (0.8, 1.0)}, "gain_y"),

@@ -44,7 +44,7 @@ def test_who_drives_up_has_not_stood_yet_and_who_turns_after_the_press_has_asked
 
 
 @pytest.mark.parametrize(
-    ("arc_m", "asks"),
+    "arc_m, asks",
     [(AT_KERB_M - 6.0, False), (AT_KERB_M, True), (AT_KERB_M + 0.5, True), (13.0, False), (19.5, False)],
 )
 def test_the_button_is_at_the_kerb(arc_m, asks):

@@ -78,7 +78,7 @@ def test_over_the_crossing_and_back_are_two():
 
 
 @pytest.mark.parametrize(
-    ("way", "why"),
+    "way, why",
     [
         (((40.0, 6.0), (40.0, -3.5), (40.0, 6.0)), "back to where it came from"),
         (((30.0, 6.0), (30.0, -6.0)), "not on a crossing"),

@@ -45,7 +45,7 @@ def test_the_way_ahead_ends_at_the_destination():
     assert end[-1, 1] == end[-2, 1] == pytest.approx(5.0)
 
 
-@pytest.mark.parametrize(("y", "kind", "side"), [(5.5, STEP_DOWN, -1.5), (2.5, STEP_UP, 1.5)])
+@pytest.mark.parametrize("y, kind, side", [(5.5, STEP_DOWN, -1.5), (2.5, STEP_UP, 1.5)])
 @pytest.mark.parametrize("yaw", [0.0, math.pi])
 def test_the_kerb_is_a_step_down_from_the_pavement_and_up_from_the_road(y, kind, side, yaw):
     """From the pavement at y = 5.5 the kerb at y = 4 is to the right of who heads east."""

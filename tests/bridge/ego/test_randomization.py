@@ -156,7 +156,7 @@ def test_light_brightens_colours_and_nothing_else(corner):
 
 
 @pytest.mark.parametrize(
-    ("word", "told"),
+    "word, told",
     [
         ("vary.user_mass_kg=[60,400]", ("vary.user_mass_kg", "400", "150 kg")),
         ("vary.user_mass_kg=[90,60]", ("vary.user_mass_kg", "90", "low <= high")),
@@ -198,7 +198,7 @@ def test_ranges_in_which_no_chair_can_stand_are_refused(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    "words, says",
     [
         (("chair.plant=mwd", 'vary.plant={"casters.*.arm.damping_Nspm"=[400,2300]}'), "too stiff for physics steps"),
         (('vary.plant={"limits.speed_mps"=[0.2,0.5]}',), "expected a number of its body"),

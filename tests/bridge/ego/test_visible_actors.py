@@ -29,7 +29,7 @@ def known(shown: _ShownActors, *names: str) -> set[str]:
     return {one.id for one in shown.known(actors)}
 
 
-@pytest.mark.parametrize(("tick_s", "kept"), [(0.1, 10), (0.05, 20), (0.5, 2)])
+@pytest.mark.parametrize("tick_s, kept", [(0.1, 10), (0.05, 20), (0.5, 2)])
 def test_who_was_shown_is_known_for_a_second(tick_s, kept):
     shown = _ShownActors(WorldConfig(tick_s=tick_s, substeps=round(240 * tick_s)))
     shown.see(5, {"a": 300.0})
@@ -84,7 +84,7 @@ def test_who_stands_behind_is_danger_for_the_full_oracle_alone():
     assert not full[FORWARD] and not visible[FORWARD]
 
 
-@pytest.mark.parametrize(("ago_ticks", "remembered"), [(5, True), (15, False)])
+@pytest.mark.parametrize("ago_ticks, remembered", [(5, True), (15, False)])
 def test_who_was_seen_half_a_second_ago_is_remembered(ago_ticks, remembered):
     """Seen in front by a chair that then turned round, and has come nearer since."""
     turned = plant(x=10.0, yaw=math.pi)
@@ -172,7 +172,7 @@ def test_equal_seeds_give_equal_truths_and_the_blinded_oracle_fears_less(corner)
     assert all((visible >= full).all() for full, visible in pairs)
 
 
-@pytest.mark.parametrize(("asked", "truth", "visible"), [
+@pytest.mark.parametrize("asked, truth, visible", [
     ({}, False, False), ({"truth": True}, True, False), ({"truth_visible": True}, True, True),
     ({"truth": True, "truth_visible": True}, True, True),
 ])  # fmt: skip

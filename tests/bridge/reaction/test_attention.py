@@ -150,7 +150,7 @@ def test_people_step_aside_for_the_chairs_that_their_episode_has_them_see():
 
 
 @pytest.mark.parametrize(
-    ("setting", "told"),
+    "setting, told",
     [
         ("world.street=reckless", "world.street"),
         ("world.attention={car=1.2}", "world.attention"),

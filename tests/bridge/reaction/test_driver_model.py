@@ -86,14 +86,14 @@ def test_a_driver_perceives_only_chairs_near_its_way_and_on_the_pavement_only_th
 
 
 @pytest.mark.parametrize(
-    ("poses", "expected"), [((19, 17, -1), 17), ((19, FRONT + 2), FRONT + 2), ((19, FRONT + 1), 19), ((-1, 4), -1)]
+    "poses, expected", [((19, 17, -1), 17), ((19, FRONT + 2), FRONT + 2), ((19, FRONT + 1), 19), ((-1, 4), -1)]
 )
 def test_a_conflict_is_the_usual_gap_ahead_and_only_a_touch_alongside(poses, expected):
     assert _conflict_pose(at(*poses)) == expected
 
 
 @pytest.mark.parametrize(
-    ("speed", "distance_m", "expected"),
+    "speed, distance_m, expected",
     [(0.0, 8.0, True), (0.0, 8.5, False), (10.0, 38.0, True), (10.0, 38.5, False), (14.0, 61.5, True)],
 )
 def test_no_change_of_lanes_begins_within_braking_distance_or_its_own_time(speed, distance_m, expected):
@@ -168,7 +168,7 @@ def test_a_place_in_the_lane_that_is_too_narrow_or_too_near_to_reach_is_none():
 
 
 @pytest.mark.parametrize(
-    ("aside_m", "distance_m", "expected"),
+    "aside_m, distance_m, expected",
     [(0.0, 0.0, 1.0), (0.06, 0.6, 0.2), (0.06, 0.5, 0.0), (-0.8, 17.0, 8.0), (0.8, 17.0, 8.0), (0.04, 22.0, 29.09)],
 )
 def test_a_vehicle_is_so_fast_that_it_has_moved_over_in_time(aside_m, distance_m, expected):
@@ -192,7 +192,7 @@ def test_a_junction_is_left_only_towards_a_chair_behind_it():
 
 
 @pytest.mark.parametrize(
-    ("left", "toward", "expected"),
+    "left, toward, expected",
     [(0.9, ("E", 1), 1), (0.9, None, None), (0.9, ("F", 1), None), (0.4, ("E", 1), None), (-0.9, ("E", 1), None)],
 )
 def test_who_is_half_way_into_a_lane_is_told_again(left, toward, expected):
@@ -251,7 +251,7 @@ def test_an_impatient_driver_takes_the_gap_that_just_clears_in_its_own_line():
 
 
 @pytest.mark.parametrize(
-    ("limit", "nearest", "speed", "stands_s"),
+    "limit, nearest, speed, stands_s",
     [(0.0, 5.9, 0.0, 1.1), (0.21, 5.9, 0.0, 0.0), (0.0, 6.0, 0.0, 0.0), (0.0, 5.9, 0.1, 0.0)],
 )
 def test_only_who_stands_near_a_chair_because_of_it_is_counted_as_standing(limit, nearest, speed, stands_s):

@@ -32,7 +32,7 @@ def stage_in(streets, name, attention=1.0, warmup_s=BEFORE_S):
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "x", "y", "yaw"),
+    "name, kind, x, y, yaw",
     [
         ("one-lane", "pavement", 87.9, 5.7, 1.0),
         ("one-lane", "bike_lane", 100.0, -4.05, 0.0),

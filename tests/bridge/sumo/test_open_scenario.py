@@ -93,7 +93,7 @@ def test_the_authors_time_to_teleport_holds_unless_the_run_sets_it(open_theirs):
 
 
 @pytest.mark.parametrize(
-    ("written", "said"),
+    "written, said",
     [
         (("<default.carfollowmodel value='fly'/>",), r"a\.sumocfg: SUMO cannot run this scenario.*'fly'"),
         # SUMO 1.28 keeps devices that send from one simulation to the next, and dies of them.

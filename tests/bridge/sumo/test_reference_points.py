@@ -10,7 +10,7 @@ from tests.support.menagerie import build_street, mirror_loop
 from wcsim.core import frames
 
 
-@pytest.mark.parametrize(("edges", "start", "end"), [("WC CE", 250, 50), ("CE WC", 50, 250)])
+@pytest.mark.parametrize("edges, start, end", [("WC CE", 250, 50), ("CE WC", 50, 250)])
 def test_a_person_stops_with_its_front_at_the_kerb_whatever_its_length(tmp_path, edges, start, end):
     """People of three lengths wait at a red crossing: SUMO's points are equal, so that a point is the front of each."""
     stood = []

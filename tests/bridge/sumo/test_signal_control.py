@@ -31,7 +31,7 @@ def program(*phases):
 OPTIONAL = program((CARS_GREEN, (0, 1)), (YELLOW, (2,)), (FREE, (3,)), (ALL_RED, (0,)))
 
 
-@pytest.mark.parametrize(("now", "following"), [(0, 1), (1, 2), (2, None), (3, 0)])
+@pytest.mark.parametrize("now, following", [(0, 1), (1, 2), (2, None), (3, 0)])
 def test_the_next_phase_is_one_that_the_program_allows(now, following):
     assert _towards_green(OPTIONAL, now, CROSSING_LINKS) == following
 
@@ -66,7 +66,7 @@ def test_without_a_request_an_optional_green_never_comes(roads):
 
 
 @pytest.mark.parametrize(
-    ("kind", "from_s"),
+    "kind, from_s",
     [*(("actuated", from_s) for from_s in (0.0, 4.9, 5.0, 30.0, 153.2)), ("delay_based", 4.9), ("delay_based", 30.0)],
 )
 def test_a_request_is_heard_after_the_least_green_and_over_the_whole_yellow(roads, kind, from_s):

@@ -175,7 +175,7 @@ def test_a_hook_that_does_what_only_wcsim_may_is_named(corner, signals, name, ch
 
 
 @pytest.mark.parametrize(
-    ("name", "says"),
+    "name, says",
     [
         ("{}:Wrong", "neither before_step nor after_step"),
         ("{}:Nobody", "no class 'Nobody'"),

@@ -35,7 +35,7 @@ def test_any_name_and_any_size_is_something_with_a_box(name, numbers):
 
 
 @pytest.mark.parametrize(
-    ("name", "height_m", "expected"),
+    "name, height_m, expected",
     [
         ("passenger", 1.5, (ActorKind.CAR, ActorLook.USUAL)),
         ("passenger", 2.3, (ActorKind.CAR, ActorLook.VAN)),

@@ -7,7 +7,7 @@ from wcsim.errors import ConfigError
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    "words, message",
     [
         (("--suite-file", "My_Town.json"), "--suite-file: got the name 'My_Town'; .* such as my-town"),
         (("--suite-file", f"{'a' * 33}.json"), "at most 32 .* such as a{32}$"),

@@ -87,7 +87,7 @@ def test_policies_that_are_tested_together_take_turns_in_the_chairs_of_one_stree
 
 
 @pytest.mark.parametrize(
-    ("name", "message"),
+    "name, message",
     [("Nothing", "has no name, begin, reset, act; expected a class with"), ("Nobody", "has no class 'Nobody'"),
      ("Plain", "'own_controller:Plain' could not be created with the configuration"), ("Missing", "'weights.zip'")],
 )  # fmt: skip

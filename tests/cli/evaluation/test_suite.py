@@ -54,7 +54,7 @@ def test_a_line_says_which_rules_of_a_run_stay_behind(small, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    "words, message",
     [
         (("--suite", "nothing"), "no such list"),
         (("--suite", "dev", "--jobs", "0"), "--jobs"),
@@ -83,7 +83,7 @@ def test_an_episode_is_driven_again_and_must_be_the_same(small, tmp_path, capsys
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    "words, message",
     [(("follow", "--play", "7.0"), "from 0 to 0"), (("--play", "0.0"), "takes one policy"),
      (("follow", "--play", "0.9"), "no seat 9")],
 )  # fmt: skip

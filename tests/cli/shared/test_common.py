@@ -7,7 +7,7 @@ import pytest
 from wcsim.cli.shared.common import resolve_worker_count
 
 
-@pytest.mark.parametrize(("cores", "worlds"), [(1, 1), (2, 2), (64, 4)])
+@pytest.mark.parametrize("cores, worlds", [(1, 1), (2, 2), (64, 4)])
 def test_a_world_for_each_core_where_nobody_says_how_many(
     cores: int, worlds: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -32,7 +32,7 @@ def test_every_error_has_a_code(kind):
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "told"),
+    "error, code, told",
     [
         (NothingSavedInterrupt("nothing is kept"), ExitCode.INTERRUPTED, "nothing is kept"),
         (KeyboardInterrupt(), ExitCode.INTERRUPTED, "interrupted"),

@@ -28,7 +28,7 @@ def _run(words: str, folder: Path, **more: str) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    "words, told",
     [
         ("wcsim --help >&-", "standard output is closed"),
         ("mkdir gone && cd gone && rmdir ../gone && wcsim town list", "the working folder does not exist"),
@@ -54,7 +54,7 @@ def _caught(raised: Exception) -> Exception:
 
 
 @pytest.mark.parametrize(
-    ("raised", "code", "told"),
+    "raised, code, told",
     [
         (FileNotFoundError(errno.ENOENT, "No such file", "/proc/x"), ExitCode.REFUSED, "/proc/x: No such file; choose"),
         (OSError(errno.ENAMETOOLONG, "File name too long", 5000 * "y"), ExitCode.REFUSED, "yyy: File name too long"),
@@ -73,7 +73,7 @@ def test_the_cause_decides_what_is_told(raised: Exception, code: ExitCode, told:
 
 
 @pytest.mark.parametrize(
-    ("module", "told"),
+    "module, told",
     [("numba.np.ufunc.parallel", "try again after: unset NUMBA_NUM_THREADS"), ("wcsim.core.jit", "")],
 )
 def test_settings_that_numba_refuses_are_named(monkeypatch: pytest.MonkeyPatch, module: str, told: str) -> None:

@@ -30,7 +30,7 @@ MEMORY = Path("/dev/shm")  # noqa: S108
 
 
 @pytest.mark.parametrize(
-    ("place", "before", "env"),
+    "place, before, env",
     [
         ("wcsim/wcsim", "", {}),
         ("Fährt d'été (2)/libsumo/numba/wcsim", "umask 077 &&", {"LC_ALL": "C", "TZ": "Pacific/Chatham"}),

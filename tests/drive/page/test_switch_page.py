@@ -147,7 +147,7 @@ def test_what_one_participant_of_a_study_steers_with_is_not_the_next_ones(stage:
     assert meet(2) == "stick"
 
 
-@pytest.mark.parametrize(("count", "key"), [(1, "b"), (2, "Enter"), (3, "2"), (4, "2")])
+@pytest.mark.parametrize("count, key", [(1, "b"), (2, "Enter"), (3, "2"), (4, "2")])
 def test_switches_take_over_from_another_page(stage: Stage, count: int, key: str) -> None:
     switches(stage, count)
     stage.role(drives=False)

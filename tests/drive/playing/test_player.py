@@ -20,7 +20,7 @@ class Clocked:
         return self.player.at
 
 
-@pytest.mark.parametrize(("pace", "ticks"), [(0.25, 10), (0.5, 20), (1.0, 40), (8.0, 320)])
+@pytest.mark.parametrize("pace, ticks", [(0.25, 10), (0.5, 20), (1.0, 40), (8.0, 320)])
 def test_time_goes_as_fast_as_was_said(pace: float, ticks: int) -> None:
     clocked = Clocked()
     clocked.player.set_pace(pace)

@@ -225,7 +225,7 @@ def test_a_street_that_cannot_be_opened_may_be_tried_again(
 
 
 @pytest.mark.parametrize(
-    ("change", "error", "told"),
+    "change, error, told",
     [
         (('name = "tiny"', 'name = "tiny"\nnmae = 1'), ConfigError, "unknown key 'nmae'"),
         (("level = 1.5", "level = 2.5"), ConfigError, "block more has level 2.5, but policy dwa has levels of 0 to 2"),

@@ -47,7 +47,7 @@ def test_two_participants_who_end_at_the_same_time_lose_no_row(tmp_path: Path, m
 
 
 @pytest.mark.parametrize(
-    ("data", "told"),
+    "data, told",
     [
         (b"", "its columns are not"),
         (b"participant;block;answer\n", "its columns are not"),

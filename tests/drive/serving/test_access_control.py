@@ -14,7 +14,7 @@ def test_its_own_page_comes_in_by_any_name_of_the_loopback(host: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("host", "origin"),
+    "host, origin",
     [
         ("evil.example:8080", "http://evil.example:8080"),  # a name that was given this machine's address
         ("127.0.0.1.evil.example", "http://127.0.0.1.evil.example"),

@@ -24,7 +24,7 @@ def test_what_is_on_the_page_and_what_the_drive_began_with_may_be_asked_for(aske
 
 
 @pytest.mark.parametrize(
-    ("key", "file"),
+    "key, file",
     [
         ("profile", "recorded:/etc/passwd"),
         ("profile", "/home/other/own.toml"),

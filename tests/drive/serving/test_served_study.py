@@ -58,7 +58,7 @@ def test_a_page_goes_through_a_study_and_nobody_changes_what_it_sets(corner: Pat
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    "words, told",
     [
         (("--study", "assistance"), "--participant"),
         (("--study", "assistance", "--participant", "1", "--policy", "follow"), "leave --policy out"),

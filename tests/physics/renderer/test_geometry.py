@@ -135,7 +135,7 @@ def test_templates_fill_the_unit_box(table):
 
 
 @pytest.mark.parametrize(
-    ("template", "most"),
+    "template, most",
     [
         (Template.CAR, 150),
         (Template.BUS, 120),

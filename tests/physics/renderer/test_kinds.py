@@ -23,7 +23,7 @@ CAMERA = CameraConfig(width_px=320, height_px=240)
 
 
 @pytest.mark.parametrize(
-    ("kind", "classes", "slack_m"),
+    "kind, classes, slack_m",
     [
         (ActorKind.PEDESTRIAN, {ClassId.PERSON}, 0.3),
         (ActorKind.BICYCLE, {ClassId.BICYCLE, ClassId.RIDER}, 0.4),

@@ -58,7 +58,7 @@ def lit(rgb: np.ndarray, class_id: np.ndarray) -> tuple[set[str], dict[str, floa
 
 
 @pytest.mark.parametrize(
-    ("letter", "pedestrian", "colours"),
+    "letter, pedestrian, colours",
     [
         ("r", False, {"red"}), ("y", False, {"amber"}), ("u", False, {"red", "amber"}), ("g", False, {"green"}),
         ("G", False, {"green"}), ("s", False, {"red"}), ("o", False, {"amber"}), ("O", False, set()),

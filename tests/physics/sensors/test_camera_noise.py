@@ -68,7 +68,7 @@ def test_disparity_comes_in_steps():
     assert len(got) > 10 and np.abs(steps - np.rint(steps)).max() < 1e-3
 
 
-@pytest.mark.parametrize(("near_m", "far_m", "baseline_m"), [(1.0, 5.0, 0.05), (2.0, 8.0, 0.12), (0.6, 40.0, 0.05)])
+@pytest.mark.parametrize("near_m, far_m, baseline_m", [(1.0, 5.0, 0.05), (2.0, 8.0, 0.12), (0.6, 40.0, 0.05)])
 def test_the_shadow_is_on_the_left_of_what_is_near_and_as_wide_as_it_must_be(near_m, far_m, baseline_m):
     scene = wall(far_m)
     scene[80:160, 150:200] = near_m
@@ -139,7 +139,7 @@ def borders(classes: np.ndarray, reach: int) -> np.ndarray:
     return near
 
 
-@pytest.mark.parametrize(("reach", "grain"), [(1, 1), (2, 1), (2, 3)])
+@pytest.mark.parametrize("reach, grain", [(1, 1), (2, 1), (2, 3)])
 def test_classes_change_at_borders_only_and_to_a_neighbours(reach, grain):
     classes = np.full((240, 320), ClassId.ROAD, np.uint8)
     classes[:, 160:] = ClassId.SIDEWALK

@@ -36,7 +36,7 @@ def readings(ticks: int, wheels_radps=(0.0, 0.0), episode=1, key=7, tick_s=TICK_
 
 
 @pytest.mark.parametrize(
-    ("wheels", "says"),
+    "wheels, says",
     [((5.0, 5.0), (0.8, 0.0)), ((-2.0, 2.0), (0.0, 1.28)), ((4.0, 6.0), (0.8, 0.64)), ((-3.0, -3.0), (-0.48, 0.0))],
 )
 def test_speed_and_turn_rate_are_those_of_the_wheels(wheels, says):
@@ -110,7 +110,7 @@ def rigged(engine: Engine, street=None, **config) -> Rig:
     return r.place()
 
 
-@pytest.mark.parametrize(("stick", "moving"), [(FORWARD, 0), (Joystick(0.8, 0.0), 1), (Joystick(0.4, 0.7), 0)])
+@pytest.mark.parametrize("stick, moving", [(FORWARD, 0), (Joystick(0.8, 0.0), 1), (Joystick(0.4, 0.7), 0)])
 def test_a_wheel_that_rolls_tells_the_truth(engine, stick, moving):
     said, true = ridden(rigged(engine), stick, 60)
     (v_mps, w_radps), (says_v_mps, says_w_radps) = true[30:].mean(axis=0), said[30:].mean(axis=0)

@@ -84,7 +84,7 @@ def test_right_is_clockwise_and_back_is_slower():
     )
 
 
-@pytest.mark.parametrize(("profile", "speed_mps"), [("indoor", 0.6), ("pavement", 1.67), ("road", 2.78)])
+@pytest.mark.parametrize("profile, speed_mps", [("indoor", 0.6), ("pavement", 1.67), ("road", 2.78)])
 def test_a_speed_profile_names_the_speed_at_full_stick(profile, speed_mps):
     chair = ChairConfig(profile=profile)
     assert drive_controller._target(0.0, 1.0, 0.0, drive_controller.settings(chair, SPEC, DT_S))[0] == pytest.approx(
@@ -186,7 +186,7 @@ def test_motor_torque_falls_with_speed_to_its_floor(radps):
 
 
 @pytest.mark.parametrize(
-    ("lag_mps", "charge", "rest"),
+    "lag_mps, charge, rest",
     [
         (0.05, drive_controller.THROTTLE_MPS2, drive_controller.BRAKE_MPS2),
         (-0.05, drive_controller.BRAKE_MPS2, drive_controller.THROTTLE_MPS2),

@@ -67,7 +67,7 @@ def drops(yard, ground, stick, ticks) -> bool:
 @BOTH_PLANTS
 @pytest.mark.parametrize("v_mps", [0.4, 0.7, 1.2, 1.67])
 @pytest.mark.parametrize(
-    ("yaw_rad", "stick"),
+    "yaw_rad, stick",
     [(0.0, FORWARD), (math.pi / 4, FORWARD), (math.pi, BACK)],
     ids=["forward", "diagonal", "backwards"],
 )
@@ -89,7 +89,7 @@ def test_a_chair_takes_a_kerb_of_3_cm_up_and_down_and_its_bounce_is_no_fall(plan
 
 @BOTH_PLANTS
 @pytest.mark.parametrize(
-    ("grade", "v_mps", "yaw_rad"),
+    "grade, v_mps, yaw_rad",
     [(1 / 12, 1.67, 0.0), (1 / 8, 1.67, 0.0), (1 / 8, 1.67, math.pi / 4), (1 / 12, 2.78, 0.0), (1 / 8, 2.78, 0.0)],
 )
 def test_a_ramp_is_no_fall_however_long_it_is(plant, grade, v_mps, yaw_rad):
@@ -102,7 +102,7 @@ def test_a_ramp_is_no_fall_however_long_it_is(plant, grade, v_mps, yaw_rad):
 
 @BOTH_PLANTS
 @pytest.mark.parametrize(
-    ("x_m", "y_m", "yaw_deg", "v_mps", "falls"),
+    "x_m, y_m, yaw_deg, v_mps, falls",
     [
         (40.0, 6.0, -90.0, 1.67, False),  # down the middle of a lowered kerb
         (37.0, 6.0, -60.0, 1.67, False),  # over the ramp at its side, which twists under the chair
@@ -128,7 +128,7 @@ def sinking(depth_m, speed_mps, seconds, ground_m=-0.12, way_m=1.0):
 
 
 @pytest.mark.parametrize(
-    ("depth_m", "speed_mps", "seconds", "ground_m", "falls"),
+    "depth_m, speed_mps, seconds, ground_m, falls",
     [
         (0.12, 1.0, 0.3, -0.12, True),
         (0.051, 1.0, 0.3, -0.06, True),

@@ -75,7 +75,7 @@ def test_mass_and_height_of_the_config_go_before_those_of_the_file():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    "old, new, said",
     [
         ("user_kg = 80.0", "user_kg = 300.0", ["mass.user_kg", "300", "150"]),
         ("user_kg = 80.0", "", ["mass.user_kg"]),
@@ -104,7 +104,7 @@ def test_a_plant_that_cannot_be_is_refused_with_value_unit_and_bounds(tmp_path, 
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    "values, said",
     [
         ({"casters.*.arm.preload_N": 450.0}, "push with 1800 N together; expected at most 80% of the weight, 1648 N"),
         ({"mass.com_x_m": 0.3, "casters.*.arm.down_m": 0.02}, r"casters\.1\.arm stands -\d+ mm up at rest"),
@@ -130,7 +130,7 @@ def test_unknown_plants_and_files_that_are_none(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("accel_mps2", 3.5), ("decel_mps2", 9.0), ("jerk_mps3", 80.0), ("yaw_rate_max_radps", 3.5)]
+    "key, value", [("accel_mps2", 3.5), ("decel_mps2", 9.0), ("jerk_mps3", 80.0), ("yaw_rate_max_radps", 3.5)]
 )
 def test_a_controller_beyond_the_limits_of_its_plant_is_refused(key, value):
     refused_plant_spec(rf"chair\.{key} is {value} .*expected no more", ChairConfig(**{key: value}))

@@ -63,7 +63,7 @@ def felt_in(town: str, plant: str, ticks: int, hz: int) -> np.ndarray:
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("hz", [120, 240])
 @pytest.mark.parametrize(
-    ("town", "plant", "way_m"), [("helsinki", "rwd", 200), ("monaco", "rwd", 90), ("helsinki", "mwd", 200)]
+    "town, plant, way_m", [("helsinki", "rwd", 200), ("monaco", "rwd", 90), ("helsinki", "mwd", 200)]
 )
 def test_level_pavement_of_a_real_town_feels_level(town, plant, way_m, hz):
     ticks = math.ceil(way_m / (1.67 * 0.1))

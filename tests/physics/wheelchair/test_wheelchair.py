@@ -62,7 +62,7 @@ def test_drives_straight_at_the_speed_asked_for(each):
 
 
 @EACH_PLANT
-@pytest.mark.parametrize(("x", "y"), [(1.0, 0.0), (-1.0, 0.0), (0.6, 0.5)])
+@pytest.mark.parametrize("x, y", [(1.0, 0.0), (-1.0, 0.0), (0.6, 0.5)])
 def test_turns_at_the_rate_asked_for(each, x, y, plant):
     ride = each.drive(Joystick(x, y), 50)
     stick = (math.hypot(x, y) - 0.08) / 0.92 / math.hypot(x, y)
@@ -131,7 +131,7 @@ def ride_at_kerb(plant, rise_m: float, run_up_m: float, ticks: int):
         return r.place(start).drive(FORWARD, ticks)
 
 
-@pytest.mark.parametrize(("plant", "rise_m", "run_up_m"), CLIMBS)
+@pytest.mark.parametrize("plant, rise_m, run_up_m", CLIMBS)
 def test_climbs_the_kerbs_that_its_file_declares(plant, rise_m, run_up_m):
     ride = ride_at_kerb(plant, rise_m, run_up_m, 45)
     assert ride.end.p_WB_m[0] > 3.8
@@ -139,7 +139,7 @@ def test_climbs_the_kerbs_that_its_file_declares(plant, rise_m, run_up_m):
     assert "building" not in ride.kinds()
 
 
-@pytest.mark.parametrize(("plant", "rise_m", "run_up_m"), REFUSES)
+@pytest.mark.parametrize("plant, rise_m, run_up_m", REFUSES)
 def test_is_stopped_by_the_kerbs_that_its_file_declares(plant, rise_m, run_up_m):
     ride = ride_at_kerb(plant, rise_m, run_up_m, 40)
     assert ride.end.p_WB_m[0] < 2.7
@@ -162,7 +162,7 @@ def test_a_40_mm_kerb_at_walking_speed_lies_in_the_window_of_the_penalty():
     assert 20.0 < ride.peaks(10).max() < 40.0
 
 
-@pytest.mark.parametrize(("yaw_deg", "start"), [(0, (1.5, 0.0)), (45, (1.5, -1.5)), (80, (2.0, -9.0))])
+@pytest.mark.parametrize("yaw_deg, start", [(0, (1.5, 0.0)), (45, (1.5, -1.5)), (80, (2.0, -9.0))])
 def test_driving_off_a_kerb_does_not_tip_it(yaw_deg, start):
     with rig(step_street(-0.12), v_max_mps=1.0) as r:
         ride = r.place(*start, yaw=math.radians(yaw_deg)).drive(FORWARD, 75)

@@ -170,7 +170,7 @@ def test_an_epoch_ends_early_when_its_process_has_grown(tmp_path, monkeypatch):
     assert "from 500 to 1600 MB" in cap.reason
 
 
-@pytest.mark.parametrize(("ends", "tick", "over"), [(6000, 5999, False), (6000, 6000, True), (0, 6000, False)])
+@pytest.mark.parametrize("ends, tick, over", [(6000, 5999, False), (6000, 6000, True), (0, 6000, False)])
 def test_an_epoch_ends_at_a_full_barrier_of_its_last_tick_where_somebody_goes_on(tmp_path, ends, tick, over):
     core = ServerCore(BOTH)
     cap = _EpochCap(replace(stand_in_order(tmp_path, run=str(tmp_path)), epoch_ticks=ends), core)

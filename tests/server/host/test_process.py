@@ -126,7 +126,7 @@ def two_processes(folder, remote=True):
         yield server, clients, server.status(lambda s: s.ticks > 10)
 
 
-@pytest.mark.parametrize(("victim", "remote"), [("a", True), ("b", False)], ids=["a-tcp", "b-ipc"])
+@pytest.mark.parametrize("victim, remote", [("a", True), ("b", False)], ids=["a-tcp", "b-ipc"])
 def test_a_client_that_is_killed_does_not_stop_the_other(tmp_path, victim, remote):
     with two_processes(tmp_path, remote) as (server, clients, running):
         assert running.members == ("a", "b")
@@ -265,7 +265,7 @@ def test_a_full_disk_ends_it_with_a_word_to_everybody(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    "changes, words",
     [
         ({"listen": "tcp://0.0.0.0:0"}, "ConfigError: tcp://0.0.0.0:0 can be reached from other machines"),
         ({"town": "atlantis"}, "TownError: unknown town 'atlantis'"),

@@ -164,7 +164,7 @@ def test_connections_that_nobody_looks_at_keep_nobody_out(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    "changes, words",
     [
         ({"endpoint": "ipc://relative"}, "absolute path"),
         ({"endpoint": "ipc:///" + "x" * 120}, "107 bytes"),

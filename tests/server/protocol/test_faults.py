@@ -42,7 +42,7 @@ def test_one_seed_is_one_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "core"),
+    "name, core",
     [
         ("ServerCore", bugs.TooEarly),
         ("ServerCore", bugs.LosesAnAction),

@@ -164,7 +164,7 @@ def test_frames_whose_parts_do_not_fit_are_refused(ended):
             received(client)
 
 
-@pytest.mark.parametrize(("kind", "told"), [(F64, b"abc"), (F64, "a"), (F32, ((2, 3), b"abcd")), (F32, 1), (U8, {})])
+@pytest.mark.parametrize("kind, told", [(F64, b"abc"), (F64, "a"), (F32, ((2, 3), b"abcd")), (F32, 1), (U8, {})])
 def test_what_is_no_array_is_refused(kind, told):
     with pytest.raises((TypeError, ValueError)):
         _unpack(kind, told)
@@ -177,7 +177,7 @@ def test_readings_travel_with_the_frame(ended):
 
 
 @pytest.mark.parametrize(
-    ("name", "values"),
+    "name, values",
     [("a b", np.zeros(1)), ("a", np.array([np.inf])), ("a", np.zeros(8193)), ("a", np.zeros((1, 1)))],
 )
 def test_what_is_no_reading_is_refused(ended, name, values):

@@ -46,7 +46,7 @@ def test_future_tick() -> None:
     assert "(0, 9, 0)" in text and "(0, 0, 0)" in text
 
 
-@pytest.mark.parametrize(("x", "y"), [(1.01, 0.0), (math.nan, 0.0), (0.0, -math.inf)])
+@pytest.mark.parametrize("x, y", [(1.01, 0.0), (math.nan, 0.0), (0.0, -math.inf)])
 def test_bad_action(x: float, y: float) -> None:
     error, text = failure(Desk().act(0, x=x, y=y))
     assert error == "BadActionError"

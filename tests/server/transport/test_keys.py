@@ -50,7 +50,7 @@ def test_what_cannot_be_a_key_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("address", "loopback"),
+    "address, loopback",
     [
         ("tcp://127.0.0.1:1", True),
         ("tcp://127.9.9.9:*", True),

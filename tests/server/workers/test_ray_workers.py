@@ -91,7 +91,7 @@ class _Ray:
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    "error, told",
     [
         (
             RuntimeError(

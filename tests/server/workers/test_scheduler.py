@@ -148,7 +148,7 @@ def test_a_piece_that_is_late_goes_to_another_worker_and_counts_once():
     assert sum(key == "a" for _, key in workers.begun) == 2
 
 
-@pytest.mark.parametrize(("workers", "late_s"), [(Scripted(w=["dead"] * 5), 180.0), (Hanging(w=[]), 0.05)])
+@pytest.mark.parametrize("workers, late_s", [(Scripted(w=["dead"] * 5), 180.0), (Hanging(w=[]), 0.05)])
 def test_a_piece_that_kills_its_workers_or_hangs_is_given_up_in_a_line(workers, late_s):
     with (
         WorkScheduler(workers, drop, least_late_s=late_s) as scheduler,
@@ -161,7 +161,7 @@ DYING = Scripted(**{"sick/1": ["dead"] * 99, "well/1": []}), 180.0
 HUNG = HangingBeside(**{"sick/1": [], "sick/2": [], "well/1": []}), 0.05
 
 
-@pytest.mark.parametrize(("workers", "late_s"), [DYING, HUNG])
+@pytest.mark.parametrize("workers, late_s", [DYING, HUNG])
 def test_a_machine_on_which_all_dies_or_hangs_ends_no_run_while_another_is_well(workers, late_s):
     kept = []
     with WorkScheduler(workers, lambda key, data: kept.append(key), least_late_s=late_s) as scheduler:
@@ -218,7 +218,7 @@ def test_somebody_who_comes_later_does_what_is_left_and_nobody_at_all_ends_the_r
 ENDS = [(refuse, TownError), (blunder, ZeroDivisionError), (always_die, WorkersError)]
 
 
-@pytest.mark.parametrize(("call", "error"), ENDS)
+@pytest.mark.parametrize("call, error", ENDS)
 def test_what_cannot_be_done_is_raised_where_it_is_waited_for(call, error):
     with WorkScheduler(_ProcessWorkers(1), drop) as scheduler, pytest.raises(error):
         scheduler.submit([work("a", call)])

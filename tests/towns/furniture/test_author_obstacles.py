@@ -163,7 +163,7 @@ def test_an_unknown_kind_names_the_file_and_what_is_known(tmp_path: Path) -> Non
     refused(r"my\.add\.xml.*wcsim\.dragon.*wcsim\.roadworks", files, (0, 0))
 
 
-@pytest.mark.parametrize(("key", "value"), [("height", "tall"), ("length", "0"), ("width", "1e9"), ("angle", "nan")])
+@pytest.mark.parametrize("key, value", [("height", "tall"), ("length", "0"), ("width", "1e9"), ("angle", "nan")])
 def test_a_size_that_is_none_names_the_thing(key: str, value: str) -> None:
     with pytest.raises(TownError, match=rf"my\.add\.xml: {key} of 'mine' \(wcsim\.bench\)"):
         things_in([authored("bench", (0, 0), **{key: value})])

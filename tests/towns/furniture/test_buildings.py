@@ -33,7 +33,7 @@ def ground(buildings: list[Building]) -> shapely.Geometry:
 
 
 @pytest.mark.parametrize(
-    ("tags", "height_m"),
+    "tags, height_m",
     [
         ({"height": "21.5 m"}, 21.5),
         ({"height": "70 ft"}, 21.336),

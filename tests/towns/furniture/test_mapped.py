@@ -80,7 +80,7 @@ def test_trees_and_lamps_are_cheap_and_leave_headroom() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "value"),
+    "text, value",
     [
         ("12", 12.0),
         ("3,5 m", 3.5),

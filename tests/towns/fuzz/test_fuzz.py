@@ -84,7 +84,7 @@ def test_a_wcsim_that_dies_of_a_mutant_is_found(planted: dict[str, str]) -> None
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    "fault, told",
     [
         ("leaky", "changed [('canary/leak.xml'"),
         ("blunt", "KeyError"),

@@ -51,7 +51,7 @@ def test_kerbs_are_lowered_at_crossings_as_the_town_says(street: Net) -> None:
     assert height_m(kerbs_at(street, drop_m=0.03), SOUTH, NORTH, AWAY) == [0.03, 0.03, TOP_M]
 
 
-@pytest.mark.parametrize(("kerb", "lip_m"), [("flush", 0.0), ("lowered", 0.02), ("sloped", 0.03), ("raised", TOP_M)])
+@pytest.mark.parametrize("kerb, lip_m", [("flush", 0.0), ("lowered", 0.02), ("sloped", 0.03), ("raised", TOP_M)])
 def test_a_mapped_kerb_at_a_crossing_counts_more(street: Net, kerb: str, lip_m: float) -> None:
     marked = kerbs_at(street, mark(kerb, (30.5, -2.4)), drop_m=0.01)
     assert height_m(marked, SOUTH, NORTH) == [lip_m, 0.01]

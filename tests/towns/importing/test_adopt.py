@@ -41,7 +41,7 @@ def test_chairs_drive_on_cycle_paths_of_a_scenario_where_they_may(corner_town: T
 
 
 @pytest.mark.parametrize(
-    ("theirs", "copied"),
+    "theirs, copied",
     [
         ("<gui-settings><delay value='20'/></gui-settings>",) * 2,
         ("<bank><account/></bank>", "<viewsettings/>\n"),

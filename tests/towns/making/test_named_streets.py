@@ -25,7 +25,7 @@ def shaped_plan(kind: str, seed: int) -> StreetPlan:
     return shape_plan(plan, rng)
 
 
-@pytest.mark.parametrize(("kind", "seed"), DRAWS)
+@pytest.mark.parametrize("kind, seed", DRAWS)
 def test_plans_are_as_large_as_ordered_and_have_room_at_junctions(kind: str, seed: int) -> None:
     shaped = shaped_plan(kind, seed)
     graph = shaped.graph()
@@ -38,7 +38,7 @@ def test_plans_are_as_large_as_ordered_and_have_room_at_junctions(kind: str, see
         assert np.hypot(*(line[-1] - line[0])) > 20.0
 
 
-@pytest.mark.parametrize(("kind", "seed"), DRAWS)
+@pytest.mark.parametrize("kind, seed", DRAWS)
 def test_every_link_is_of_one_street_and_everybody_gets_everywhere(kind: str, seed: int) -> None:
     shaped = shaped_plan(kind, seed)
     streets = _make_streets(shaped, make_rng(seed, "streets"))

@@ -71,7 +71,7 @@ def test_several_files_and_variables_are_taken_apart(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("inside", "says"),
+    "inside, says",
     [
         ('<nosuch value="1"/>', "no option <nosuch>"),
         ('<lateral-resolution value="wide"/>', "<lateral-resolution> is 'wide'; expected a number"),

@@ -159,9 +159,7 @@ def test_a_flag_trusts_a_scenario_and_an_import_that_fails_leaves_nothing(
     assert not (tmp_path / "other").exists()
 
 
-@pytest.mark.parametrize(
-    ("name", "text"), [("notes.xml", "<html>x</html>"), ("notes.txt", "root:x:0"), ("e.txt", "a\nb")]
-)
+@pytest.mark.parametrize("name, text", [("notes.xml", "<html>x</html>"), ("notes.txt", "root:x:0"), ("e.txt", "a\nb")])
 def test_what_is_none_of_sumos_files_does_not_go_with_a_copy(
     write_theirs: WriteScenario, tmp_path: Path, name: str, text: str
 ) -> None:

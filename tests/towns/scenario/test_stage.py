@@ -165,7 +165,7 @@ def test_compressed_files_and_other_outputs_are_taken(write_theirs: WriteScenari
 
 
 @pytest.mark.parametrize(
-    ("more", "says"),
+    "more, says",
     [
         ('<include href="a.add.xml"/>', "include each other"),
         ('<include href="none.xml"/>', "names a file that does not exist"),

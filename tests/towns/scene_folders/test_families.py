@@ -84,7 +84,7 @@ def test_who_only_follows_from_a_start_on_pavement_meets_the_danger_that_is_mean
 
 
 @pytest.mark.parametrize(
-    ("seed", "where", "ground", "reason", "partner"),
+    "seed, where, ground, reason, partner",
     [
         (2, "in the gutter", ClassId.ROAD, "collision", ""),
         (3, "in a drive", ClassId.GROUND, "drop", ""),

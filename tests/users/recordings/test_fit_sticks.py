@@ -39,7 +39,7 @@ def test_a_push_to_the_gate_is_timed_and_shares_are_those_of_the_time():
     assert math.isnan(habits(np.zeros((500, 2)))["lag_s"]), "a stick at rest tells no movement"
 
 
-@pytest.mark.parametrize(("hz", "top"), [(0.6, 1), (2.0, 3), (5.0, 8)])
+@pytest.mark.parametrize("hz, top", [(0.6, 1), (2.0, 3), (5.0, 8)])
 def test_a_swing_is_in_its_band_alone(hz, top):
     time_s = STICK_DT_S * np.arange(3000)
     found = habits(np.c_[0.2 * np.sin(math.tau * hz * time_s), np.full(3000, 0.5)])
@@ -54,7 +54,7 @@ def test_a_slow_push_along_a_line_and_the_rounding_of_a_device_are_no_wander():
     assert habits(line.round(2), 0.01)["noise"] < 0.003 < habits(line.round(2))["noise"]
 
 
-@pytest.mark.parametrize(("lag_s", "noise"), [(0.07, 0.01), (0.12, 0.005), (0.12, 0.015), (0.2, 0.01)])
+@pytest.mark.parametrize("lag_s, noise", [(0.07, 0.01), (0.12, 0.005), (0.12, 0.015), (0.2, 0.01)])
 def test_lag_and_wander_of_a_hand_are_found(lag_s, noise):
     found = habits(driven(replace(CALM, lag_s=lag_s, noise=noise), 1, 240.0), 0.01)
     assert found["lag_s"] == pytest.approx(lag_s, rel=0.15 if lag_s < 0.2 else 0.2), "slow ends are lost in the wander"

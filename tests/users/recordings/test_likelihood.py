@@ -23,7 +23,7 @@ def dense(hand, intent, noise, rate, amplitude, turn, fading, line):
     return total
 
 
-@pytest.mark.parametrize(("amplitude", "noise"), [(0.0, 0.1), (0.2, 0.05)])
+@pytest.mark.parametrize("amplitude, noise", [(0.0, 0.1), (0.2, 0.05)])
 def test_it_is_the_density_of_all_samples_together(amplitude, noise):
     rng = np.random.default_rng(3)
     hand, intent, line = 0.2 * rng.normal(size=(40, 2)), rng.normal(size=(40, 2)), np.array([0.8, 1.1, 0.02, -0.1])

@@ -90,7 +90,7 @@ def test_it_arrives_with_the_chair_and_gives_up_once_at_the_end(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text, message",
     [
         ("", r"stick.csv:1: other column names; expected the line time_s,x,y"),
         ("a,b,c\n0,0,0\n", "stick.csv:1: other column names; expected the line time_s,x,y"),
@@ -168,7 +168,7 @@ def test_a_drive_without_intents_or_samples_has_its_stick_for_both(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("header", "ticks", "message"),
+    "header, ticks, message",
     [
         ({"wcsim": "0.0.1"}, [1, 2], r"was driven with wcsim 0\.0\.1, this is \d"),
         ({}, [], "is empty"),

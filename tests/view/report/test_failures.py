@@ -33,7 +33,7 @@ def kept(path_m, time_s):
 
 
 @pytest.mark.parametrize(
-    ("item", "said"),
+    "item, said",
     [
         (record(0), ("", "")),
         (record(5, status="timed_out"), ("", "")),

@@ -48,7 +48,7 @@ def test_who_follows_obeys_and_ends_in_one_of_the_ways_that_there_are(corner):
 
 
 @pytest.mark.parametrize(
-    ("policy", "late_s", "said"),
+    "policy, late_s, said",
     [
         (Dies, 10.0, "no more"),
         (OutOfTheGrid, 10.0, "0 to 80"),

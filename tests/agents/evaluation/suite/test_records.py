@@ -98,7 +98,7 @@ def test_warnings_count_a_second_ahead_and_are_false_where_nothing_came():
 
 
 @pytest.mark.parametrize(
-    ("crashes", "dangers"),
+    "crashes, dangers",
     [((50,), 1), ((50, 50), 1), ((50, 59), 1), ((50, 59, 68), 1), ((50, 60), 2), ((70, 50, 55), 2)],
 )
 def test_crashes_less_than_a_second_apart_are_one_danger(crashes, dangers):

@@ -53,7 +53,7 @@ def test_a_policy_without_episodes_or_fields_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("file", "was", "now"),
+    "file, was, now",
     [
         ("result.json", '"crashes_own": 1', '"crashes_own": 0'),
         ("result.json", "tick_s=0.1", "tick_s=0.2"),

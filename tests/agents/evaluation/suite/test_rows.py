@@ -78,7 +78,7 @@ def test_a_policy_that_did_not_drive_to_the_end_saves_nobody(changes):
 
 
 @pytest.mark.parametrize(
-    ("fool", "column", "worse"),
+    "fool, column, worse",
     [
         ({"status": "timed_out", "done_m": 3.0, "crossings": 0}, "arrivals", lambda fool, good: fool < good),
         ({"m": 0.0, "done_m": 0.0, "status": "gave_up"}, "score", lambda fool, good: fool == 0.0 < good),

@@ -31,7 +31,7 @@ def begin_of(ends, step):
     return max((k + 1 for k in range(step) if ends[k] not in ("go", "odd")), default=0)
 
 
-@pytest.mark.parametrize(("memory", "precrash"), [("windows", 0.5), ("windows", 0.0), ("groups", 0.0)])
+@pytest.mark.parametrize("memory, precrash", [("windows", 0.5), ("windows", 0.0), ("groups", 0.0)])
 @settings(max_examples=25)
 @given(plan=PLANS, n_step=st.integers(1, 5), rows=st.integers(20, 70))
 def test_windows_are_drawn_whole_with_what_came_after_and_never_of_two_episodes(memory, precrash, plan, n_step, rows):
