@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
+from wcsim.agents.envs.episode_view import OBJECTS, InfoObjects
 from wcsim.agents.envs.seat_driver import PolicyAgentAdapter
 from wcsim.agents.policy_api import HearsSent, Levelled, Observation, Policy, TellsUnsafe, Warns
 from wcsim.errors import PolicyError, WcsimError
@@ -160,7 +161,7 @@ class Assistance:
 
     def _anew(self) -> None:
         self._agent.help.end()
-        self._agent.reset({"drawn": self._drawn})
+        self._agent.reset({OBJECTS: InfoObjects(drawn=self._drawn)})
 
     def _guarded(self, call: Callable[[], object]) -> None:
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from wcsim.agents.envs.episode_view import (
+    OBJECTS,
     EnvStepResult,
     Info,
     SeatEnvAdapter,
@@ -89,7 +90,7 @@ class PolicyAgentAdapter:
             # Set first: a policy that fails to begin is not begun again.
             self._is_new = False
             self.policy.begin()
-        pass_delay(self.policy, info["drawn"])
+        pass_delay(self.policy, info[OBJECTS].drawn)
         self.policy.reset()
 
     def act(self, observation: Observation, info: Info) -> int:
@@ -110,4 +111,4 @@ class PolicyAgentAdapter:
 
     def _show(self, info: Info) -> None:
         if isinstance(self.policy, SeesTruth):
-            self.policy.see(info["truth"])
+            self.policy.see(info[OBJECTS].truth)

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.core.closing import ClosingContextBase
 from wcsim.core.frames import Quat, quaternion_from_ypr
@@ -28,7 +27,7 @@ from wcsim.types import F64, U8, Bool, ClassId
 _FACES_PER_BODY = 30_000  # Bullet takes 131072 vertices and 524288 indices a mesh at most
 _PARKED_M = (0.0, 0.0, -1.0e5)  # where bodies wait that no actor needs in this picture
 
-Corners = npt.NDArray[np.float64]  # (T, 3 corners, 3)
+Corners = F64  # (T, 3 corners, 3)
 
 
 @dataclass(frozen=True, slots=True, order=True)
