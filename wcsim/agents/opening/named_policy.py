@@ -6,8 +6,6 @@ Its street, chair, crashes and ranges are left out: with them `saved`, `lost` an
 compare drives that were not judged alike.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.util import find_spec

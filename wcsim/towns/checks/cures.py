@@ -3,8 +3,6 @@
 What is to be done by hand stands before the command, which goes on to the end of its line.
 """
 
-from __future__ import annotations
-
 import math
 import shlex
 import sys

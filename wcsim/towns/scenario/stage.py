@@ -1,7 +1,5 @@
 """A scenario on its way into a world: filtered copies in the run folder, the author's own files untouched."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Sequence

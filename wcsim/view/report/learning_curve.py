@@ -1,7 +1,5 @@
 """What a training's logs say of its steps and episodes, running means, and where KPI 1 came below its limit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields

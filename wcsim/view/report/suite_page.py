@@ -1,7 +1,5 @@
 """The page of a test, on a suite or at the end of a demo: tables, figures, failures, and what its words mean."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What became of one test episode, in plain numbers that can be added up over episodes."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
