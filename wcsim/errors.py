@@ -40,6 +40,7 @@ A message says what was wrong, what was got, what was expected, and what to do.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
@@ -203,7 +204,11 @@ def check_installed(
         modules: Top-level names.
         error: The class of the error.
     """
-    if any(find_spec(name) is None for name in modules):
+    for name in modules:
+        # A finder may refuse a module, too.
+        with contextlib.suppress(ImportError):
+            if find_spec(name) is not None:
+                continue
         raise error(f"{need}, which is not installed: pip install 'wcsim[{extra}]'") from None
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from wcsim.agents.envs.episode_view import OBJECTS, InfoObjects
 from wcsim.agents.evaluation.suite.records import CRASHED, TIMED_OUT, EpisodeRecord
 from wcsim.agents.evaluation.suite.rows import ResultRow, row_of
 from wcsim.agents.policy_api import Policy, SeesTruth, pass_delay
@@ -21,17 +22,18 @@ def driven(
     policy.begin()
     for number in range(episodes):
         seen, info = env.reset(seed=seed) if number == 0 else env.reset()
-        pass_delay(policy, info.get("drawn"))
+        pass_delay(policy, info[OBJECTS].drawn)
         policy.reset()
         steps, ended = [], {"status": TIMED_OUT}
         for _ in range(max_steps):
-            truth = info.get("truth")  # of the moment that the agent answers to
+            truth = info[OBJECTS].truth  # of the moment that the agent answers to
             if isinstance(policy, SeesTruth):
                 policy.see(truth)
             seen, _, terminated, truncated, info = env.step(policy.act(seen))
             steps.append(KpiStep.of(info, truth is None or not truth.danger))
-            if info["events"].crashed:
-                ended = {"status": CRASHED, **make_crash_fields(info["events"], (), steps, tick_s, RunConfig().reward)}
+            events = info[OBJECTS].events
+            if events.crashed:
+                ended = {"status": CRASHED, **make_crash_fields(events, (), steps, tick_s, RunConfig().reward)}
             if terminated or truncated:
                 break
         sums = sum_kpi_steps(steps, tick_s)
@@ -58,9 +60,11 @@ class Script(gym.Env):
             crash="tilted too far, at x 1.0 y 2.0 in the net, edge e" if self.k == self.crash_at else "",
         )  # fmt: skip
         return {
-            "joystick_distance": distance, "speed_mps": self.speed_mps, "truth": truth if self.truth else None,
-            "events": events, "asked": Joystick(0.0, 0.2 + 0.2 * self.k), "given": Joystick(0.0, 0.0),
-            "help": events.help_asked,
+            "joystick_distance": distance, "speed_mps": self.speed_mps, "help": events.help_asked,
+            OBJECTS: InfoObjects(
+                truth=truth if self.truth else None, events=events,
+                asked=Joystick(0.0, 0.2 + 0.2 * self.k), given=Joystick(0.0, 0.0),
+            ),
         }  # fmt: skip
 
     def reset(self, *, seed=None, options=None):

@@ -20,7 +20,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.support.samples import ACTIONS, stacked
-from wcsim.agents.envs.episode_view import FrameStacker, window_observation_space
+from wcsim.agents.envs.episode_view import OBJECTS, FrameStacker, InfoObjects, window_observation_space
 from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.checkpoint import make_checkpoint_restorer
 from wcsim.agents.learning.replay.buffer import FrameReplay
@@ -125,7 +125,7 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
         self.step_count, self.noise = 0, np.zeros(2)
         self.obstacles = np.stack([self._obstacle(3.0, AHEAD_M) for _ in range(self.count)]).reshape(-1, 5)
         self._new_goal()
-        return self._observe(), {"truth": self._truth()}
+        return self._observe(), {OBJECTS: InfoObjects(truth=self._truth())}
 
     def step(self, action):
         stick = self.joystick()
@@ -150,10 +150,11 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
         penalty = 0.0 if follow else -2.0 * min((distance - 0.1768) / (2.0 - 0.1768), 1.0)
         reward = RewardTerms(base=follow, joystick=penalty, accel=0.0, tilt=0.0, crash=-100.0 if crashed else 0.0)
         asked, given = Joystick(*map(float, stick)), Joystick(*map(float, point))
-        info = {**self._info(distance, reward, crashed, truncated), "asked": asked, "given": given}
+        info = self._info(distance, crashed, truncated)
+        info[OBJECTS].asked, info[OBJECTS].given = asked, given
         return self._observe(), reward.total, crashed, truncated, info
 
-    def _info(self, distance, reward, crashed, truncated):
+    def _info(self, distance, crashed, truncated):
         events = Events(
             episode=self.episode,
             step=self.step_count,
@@ -165,9 +166,7 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
         )
         return {
             "joystick_distance": distance,
-            "reward_terms": reward,
-            "truth": self._truth(),
-            "events": events,
+            OBJECTS: InfoObjects(truth=self._truth(), events=events),
             "progress_m": self.v * math.cos(self.yaw) * DT_S,
             "speed_mps": abs(self.v),
             "user_action": self.actions.nearest(self.joystick()),

@@ -18,7 +18,7 @@ def action_at(step: int, seat: int = 0) -> int:
 
 def equal(one: object, other: object) -> bool:
     """Whether two things made of dictionaries, lists, arrays and dataclasses are the same to the bit."""
-    return bool(data_equivalence(one, other))
+    return bool(data_equivalence(one, other, exact=True))
 
 
 @contextmanager

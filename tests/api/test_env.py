@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import wcsim
-from tests.api.streets import Counting, action_at
+from tests.api.streets import Counting, action_at, equal
 from wcsim.agents.envs.env_spec import EnvOptions
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
@@ -26,15 +27,17 @@ from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import resolve
 from wcsim.errors import BadActionError, ConfigError, ProtocolError, TownError
 from wcsim.supervisor.rewards import make_reward_term
-from wcsim.types import Events, PlantState, RewardTerms
+from wcsim.types import Events, ImuFrame, PlantState, RewardTerms
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NO_WARMUP = "world.warmup_s=0"
 TINY = ("cameras.0.width_px=32", "cameras.0.height_px=24")
 INFO_KEYS = {
-    *("state", "user_action", "joystick_distance", "reward_terms", "truth", "warning", "intervening"),
-    *("events", "contacts", "progress_m", "speed_mps", "imu", "drawn", "asked", "given", "help"),
-    *("rewards", "is_success"),
+    *("state", "user_action", "joystick_distance", "intervening", "world_restarted", "objects"),
+    *("contacts", "progress_m", "speed_mps", "asked", "given", "help", "is_success", "event_crash_reason"),
+    *(f"event_{item.name}" for item in fields(Events) if item.type not in ("b.NameOrNone", "b.Line")),
+    *(f"reward_{item.name}" for item in fields(RewardTerms)),
+    *(f"imu_{item.name}" for item in fields(ImuFrame)),
 }
 NOT_AN_IMAGE = (
     "It seems that your observation {} is an image but its `dtype` is (float32)",
@@ -58,25 +61,18 @@ def made(town: Path, *overrides: str, sized: tuple[str, ...] = TINY, **more: Any
 def drive(env: gymnasium.Env[Any, Any], steps: int, seed: int | None) -> Shown:
     """What a user sees of an episode that is driven by actions which depend on nothing but the step."""
     observation, info = env.reset(seed=seed)
-    seen = [(observation, 0.0, False, False, info["state"])]
+    seen = [(observation, 0.0, False, False, info["objects"].state)]
     for step in range(steps):
         observation, reward, terminated, truncated, info = env.step(action_at(step))
-        seen.append((observation, reward, terminated, truncated, info["state"]))
+        seen.append((observation, reward, terminated, truncated, info["objects"].state))
         if terminated or truncated:
             observation, info = env.reset()
-            seen.append((observation, 0.0, False, False, info["state"]))
+            seen.append((observation, 0.0, False, False, info["objects"].state))
     return seen
 
 
 def tick_of(env: gymnasium.Env[Any, Any]) -> int:
     return env.unwrapped._chair.now.tick
-
-
-def equal(one: Shown, other: Shown) -> bool:
-    return len(one) == len(other) and all(
-        a[1:] == b[1:] and all(np.array_equal(a[0][key], b[0][key]) for key in a[0])
-        for a, b in zip(one, other, strict=True)
-    )
 
 
 def warnings_of(town: Path, checker: Any, *overrides: str) -> list[str]:
@@ -156,7 +152,7 @@ def test_gymnasiums_own_vector_environments_work(corner):
             observations, rewards, _, truncated, info = vec.step(np.array([44, 44]))
         assert observations["depth"].shape == (2, 1, 24, 32)
         assert rewards.shape == truncated.shape == (2,)
-        assert set(info) >= {"state", "events"}
+        assert set(info) >= {"state", "event_step"}
     finally:
         vec.close()
 
@@ -168,16 +164,16 @@ def test_an_episode_is_cut_after_max_steps_and_the_next_one_is_there_already(cor
             _, _, terminated, truncated, info = env.step(40)
             assert not terminated
             assert truncated == (step == 6)
-            assert info["events"].step == step
-        assert info["events"].truncated
+            assert info["event_step"] == step
+        assert info["event_truncated"]
         tick = tick_of(env)
         _, info = env.reset()
         assert tick_of(env) == tick
-        assert (info["events"].episode, info["events"].step) == (1, 0)
+        assert (info["event_episode"], info["event_step"]) == (1, 0)
         env.step(40)
         _, info = env.reset()  # in the middle of an episode
-        assert (tick_of(env), info["events"].episode, info["events"].step) == (tick + 1, 2, 0)
-        assert env.step(40)[4]["events"].step == 1
+        assert (tick_of(env), info["event_episode"], info["event_step"]) == (tick + 1, 2, 0)
+        assert env.step(40)[4]["event_step"] == 1
 
 
 def test_step_out_of_turn_says_so(corner):
@@ -240,7 +236,7 @@ def test_so_it_is_where_the_world_is_a_process_of_its_own_which_ctrl_c_is_not_fo
         env.reset()
         env._link._child.process.send_signal(signal.SIGINT)
         for _ in range(3):
-            assert env.step(44)[4]["events"].step == first.step(44)[4]["events"].step
+            assert env.step(44)[4]["event_step"] == first.step(44)[4]["event_step"]
         with interrupted(monkeypatch, "wcsim.server.links.socket._ChildSeat._pump"):
             env.step(40)
         env.reset()
@@ -265,14 +261,21 @@ def test_info_says_what_is_promised(corner):
     with made(corner) as env:
         _, info = env.reset(seed=1)
         assert set(info) == INFO_KEYS
-        assert info["reward_terms"] is None
+        assert info["objects"].reward_terms.total == 0.0
+        assert not np.any([info["asked"], info["given"]])
         _, reward, _, _, info = env.step(info["user_action"])
         assert set(info) == INFO_KEYS
-        assert isinstance(info["state"], PlantState)
-        assert isinstance(info["events"], Events)
-        assert isinstance(info["reward_terms"], RewardTerms)
-        assert info["truth"] is None
-        assert reward == pytest.approx(info["reward_terms"].total)
+        objects = info["objects"]
+        assert isinstance(objects.state, PlantState)
+        assert isinstance(objects.events, Events)
+        assert isinstance(objects.reward_terms, RewardTerms)
+        assert objects.truth is None
+        assert (
+            reward
+            == pytest.approx(objects.reward_terms.total)
+            == sum(info[f"reward_{item.name}"] for item in fields(RewardTerms))
+        )
+        assert info["given"].tolist() == [objects.given.x, objects.given.y]
         assert 0.0 <= info["joystick_distance"] <= 2.0**1.5
 
 
@@ -283,7 +286,7 @@ def test_noise_turn_rates_and_heading_are_a_matter_of_configuration(corner):
         assert env.observation_space.contains(observation)
         assert observation["imu"].shape == (10,)
         assert (observation["depth"] == 0).any()  # pixels without a measurement
-        assert info["imu"].yaw_rad == info["state"].yaw_rad
+        assert info["imu_yaw_rad"] == info["objects"].state.yaw_rad
 
 
 def test_doing_what_the_user_asks_for_is_following_and_the_opposite_is_intervening(corner):
@@ -305,10 +308,10 @@ def test_truth_is_there_when_it_is_asked_for(corner, setting):
         _, info = env.reset(seed=1)
         for _ in range(15):
             _, _, _, _, info = env.step(info["user_action"])
-        assert info["truth"].safe_actions.shape == (env.action_space.n,)
-        assert info["progress_m"] == info["truth"].progress_m > 0.0
-        assert info["warning"] == info["truth"].danger
-        visible = info["truth"].visible
+        assert info["objects"].truth.safe_actions.shape == (env.action_space.n,)
+        assert info["progress_m"] == info["objects"].truth.progress_m > 0.0
+        assert info["warning"] == info["truth_danger"] == info["objects"].truth.danger
+        visible = info["objects"].truth.visible
         assert (visible is None) == (setting == "env.truth=true")
         assert visible is None or visible.safe_actions.shape == (env.action_space.n,)
 
@@ -342,10 +345,10 @@ def test_an_own_reward_term_is_added(corner, monkeypatch):
     monkeypatch.chdir(EXAMPLES)
     with made(corner, reward_terms=(make_reward_term("own_reward:Gentle"),)) as env:
         _, info = env.reset(seed=1)
-        total, before = 0.0, info["state"].v_B_mps[0]
+        total, before = 0.0, info["objects"].state.v_B_mps[0]
         for _ in range(15):
             _, reward, _, _, info = env.step(info["user_action"])
-            terms, after = info["reward_terms"], info["state"].v_B_mps[0]
+            terms, after = info["objects"].reward_terms, info["objects"].state.v_B_mps[0]
             assert terms.extra == pytest.approx(-0.1 * abs(after - before))
             paper = terms.base + terms.joystick + terms.accel + terms.tilt + terms.crash
             assert reward == pytest.approx(paper + terms.extra)
@@ -357,7 +360,7 @@ def test_an_environment_has_copies_of_its_own_of_the_reward_terms(corner):
     term = Counting()
     with made(corner, reward_terms=[term]) as env:
         env.reset(seed=1)
-        assert [env.step(44)[4]["reward_terms"].extra for _ in range(2)] == [1.0, 2.0]
+        assert [env.step(44)[4]["reward_extra"] for _ in range(2)] == [1.0, 2.0]
     assert term.steps == 0, "another environment may have been given it as well"
 
 
@@ -367,7 +370,7 @@ def test_a_reward_term_that_cannot_be_copied_is_taken_as_it_is(corner, tmp_path)
         term.log = log
         with made(corner, reward_terms=[term]) as env:
             env.reset(seed=1)
-            assert env.step(44)[4]["reward_terms"].extra == 1.0
+            assert env.step(44)[4]["reward_extra"] == 1.0
     assert term.steps == 1
 
 
@@ -386,7 +389,7 @@ def test_an_action_that_is_none_of_the_set_is_refused_and_nothing_moves(corner):
             with pytest.raises(BadActionError, match="expected an integer from 0 to 80"):
                 env.unwrapped.step(action)
         assert env.unwrapped._steps == 0, "the town of a copy would change with them"
-        assert env.unwrapped.step(40)[4]["events"].step == 1
+        assert env.unwrapped.step(40)[4]["event_step"] == 1
         for action in (np.int64(40), np.array(40), np.array([40])):
             env.unwrapped.step(action)
 

@@ -36,7 +36,7 @@ def test_the_environment_has_an_entry_for_it_and_the_checker_is_content(corner):
         _, info = env.reset(seed=1)
         for _ in range(15):
             observation, _, _, _, info = env.step(info["user_action"])
-        assert observation["odometry"] * 4.0 == pytest.approx(info["odometry"], abs=1e-6)
+        assert observation["odometry"] * 4.0 == pytest.approx(info["reading_odometry"], abs=1e-6)
         assert observation["odometry"][0] * 4.0 == pytest.approx(info["speed_mps"], abs=0.1)
         assert info["speed_mps"] > 0.3
 

@@ -12,6 +12,7 @@ import torch
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecMonitor
 
 import wcsim
 from tests.agents.toy import ToyStreet
@@ -49,6 +50,19 @@ def test_stock_dqn_with_an_eval_callback_learns_unchanged(corner, tmp_path):
     finally:
         env.close()
         second.close()
+
+
+@pytest.mark.filterwarnings("ignore:Training and eval env are not of the same type")
+@pytest.mark.parametrize("repeat", [True, False])
+def test_evaluations_of_one_policy_are_alike_where_the_world_repeats(corner, tmp_path, repeat):
+    size = CameraConfig(width_px=40, height_px=36)
+    second = VecMonitor(wcsim.StreetVecEnv(str(corner), repeat=repeat, overrides=(*SMALL[:3], "env.max_steps=9")))
+    model = DQN("MultiInputPolicy", ToyStreet(size), learning_rate=0.0, buffer_size=50, learning_starts=5, seed=1)
+    callback = EvalCallback(second, eval_freq=8, n_eval_episodes=2, verbose=0, log_path=str(tmp_path))
+    model.learn(16, callback=callback)
+    second.close()
+    first, other = np.load(tmp_path / "evaluations.npz")["results"]
+    assert np.array_equal(first, other) == repeat
 
 
 def test_the_example_of_stock_learners_trains_saves_and_loads_both(corner, tmp_path):

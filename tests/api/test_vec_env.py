@@ -70,7 +70,7 @@ def test_where_an_episode_ends_the_next_one_begins_without_a_tick(made):
     vec.reset()
     for step in range(1, 12):
         observations, rewards, dones, infos = vec.step(np.array([44, 40]))
-        assert [info["events"].step for info in infos] == [(step - 1) % 5 + 1] * 2
+        assert [info["event_step"] for info in infos] == [(step - 1) % 5 + 1] * 2
         assert dones.tolist() == [step % 5 == 0] * 2
         assert rewards.dtype == np.float32
         for seat, info in enumerate(infos):
@@ -79,8 +79,8 @@ def test_where_an_episode_ends_the_next_one_begins_without_a_tick(made):
             if last is not None:
                 assert vec.observation_space.contains(last)
                 assert not np.array_equal(last["depth"], observations["depth"][seat])
-                assert vec.reset_infos[seat]["events"].step == 0
-                assert vec.reset_infos[seat]["events"].episode == step // 5
+                assert vec.reset_infos[seat]["event_step"] == 0
+                assert vec.reset_infos[seat]["event_episode"] == step // 5
     assert vec.env_method("waits", indices=0)[0].steps == 11, "no more ticks than steps"
 
 
@@ -153,12 +153,12 @@ def test_steps_out_of_turn_are_refused_and_nothing_moves(made):
     vec.step_async(np.array([44, 44]))
     with pytest.raises(ProtocolError, match="came twice"):
         vec.step_async(np.array([44, 44]))
-    assert [info["events"].step for info in vec.step_wait()[3]] == [1, 1]
+    assert [info["event_step"] for info in vec.step_wait()[3]] == [1, 1]
     for seed in (None, 1):
         vec.step_async(np.array([44, 44]))
         vec.seed(seed)
         vec.reset()  # SB3 allows it in the middle of a step
-        assert [info["events"].step for info in vec.step(np.array([44, 44]))[3]] == [1, 1]
+        assert [info["event_step"] for info in vec.step(np.array([44, 44]))[3]] == [1, 1]
     vec.close()
     vec.close()
 

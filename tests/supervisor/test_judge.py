@@ -53,7 +53,7 @@ def test_the_penalty_grows_with_the_distance():
     assert got.reward == pytest.approx(-2 * (1.0 - 0.1768) / (2 - 0.1768))
     corner = ACTIONS.nearest((-1.0, -1.0))
     far = judged(snapshot(), corner, Joystick(0.7071, 0.7071))
-    assert far.info["reward_terms"].joystick == -2.0 and not far.terminated
+    assert far.info["reward_joystick"] == -2.0 and not far.terminated
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_the_penalty_grows_with_the_distance():
 def test_how_an_episode_ends(crashed, truncated, expected):
     got = judged(snapshot(crashed, truncated), 0, Joystick(0.0, 0.0))
     assert (got.terminated, got.truncated) == expected
-    assert got.info["reward_terms"].crash == (-100.0 if crashed else 0.0)
+    assert got.info["reward_crash"] == (-100.0 if crashed else 0.0)
 
 
 def test_the_configuration_chooses_form_classes_and_camera():

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.plants import CALM
+from wcsim.agents.envs.episode_view import InfoObjects
 from wcsim.config import RewardConfig
 from wcsim.supervisor import kpi
 from wcsim.supervisor.kpi import KpiStep, KpiTotals
@@ -22,8 +23,8 @@ HIT = Contact(kind="car", part="body", impulse_Ns=200.0, cause="other", actor_id
 
 def step(distance=0.0, free=True, speed_mps=1.0, asked=REST, given=REST, **events) -> KpiStep:
     info = {
-        "events": replace(CALM, **events), "joystick_distance": distance, "asked": asked, "given": given,
-        "speed_mps": speed_mps,
+        "joystick_distance": distance, "speed_mps": speed_mps,
+        "objects": InfoObjects(events=replace(CALM, **events), asked=asked, given=given),
     }  # fmt: skip
     return KpiStep.of(info, free)
 

@@ -3,8 +3,6 @@
 `agents/policies/baselines.py` has the baselines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Final, Protocol, runtime_checkable

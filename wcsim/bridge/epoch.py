@@ -5,8 +5,6 @@ The traffic near the wheelchairs, tick by tick: it brakes or stands for them, an
 Without an engine: a world mirrors what is here into one, a bench leads chairs through it by hand.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from wcsim.bridge import mirror

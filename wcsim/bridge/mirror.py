@@ -8,8 +8,6 @@ loudly: a body that froze, a ghost that stayed, an update that was skipped would
 street is not what it sees.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

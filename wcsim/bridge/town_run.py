@@ -3,8 +3,6 @@
 A town's traffic with no wheelchair in it: SUMO alone, for which no street has to be built.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ To know what a person wanted, the drive is made again, and somebody of the model
 route, knowing of the same things, with the person's delay. What it would want is taken for what the person wanted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace

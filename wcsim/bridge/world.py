@@ -6,8 +6,6 @@ them one tick late); bodies, sensors and pictures all show tick n + 1.
 Brings the street near the wheelchairs into memory: tiles for the engine and for the pictures.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace

@@ -3,8 +3,6 @@
 That is the same as a replay to this tick, at the price of the ticks after it alone.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from typing import Final

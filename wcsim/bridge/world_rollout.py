@@ -1,7 +1,5 @@
 """The one loop over a world: the drivers of all seats are asked, then the world goes on by a tick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType

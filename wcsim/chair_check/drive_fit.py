@@ -3,8 +3,6 @@
 It also measures how well law and plant repeat such drives.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Driving trials: straight on, round and round, to a stop, uphill and across a slope."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from functools import partial

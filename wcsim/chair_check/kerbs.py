@@ -4,8 +4,6 @@ A twisted ramp is as a kerb lowered at a corner has it: what the wheels carry on
 stops and turns.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from functools import partial

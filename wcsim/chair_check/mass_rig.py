@@ -7,8 +7,6 @@ so that nothing slides. A chair on a beam rolls freely where it is tilted sidewa
 trailing, and its beam's bearing has no friction.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial

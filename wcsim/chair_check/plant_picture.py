@@ -1,21 +1,19 @@
 """A picture of a plant from the side and from above, with contacts, pivots and masses."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.chair_check.static_balance import SupportFoot, make_static_chair
 from wcsim.config import ChairConfig
 from wcsim.core.frames import Vec3
 from wcsim.physics.wheelchair.plant import FORK_M, PlantSpec, plant_spec
+from wcsim.types import U8
 
-Image = npt.NDArray[np.uint8]
+Image = U8
 Colour = tuple[int, int, int]
 
 _PX_PER_M: Final = 420.0

@@ -1,7 +1,5 @@
 """The test rig: plain streets, and one chair on one of them that is driven tick by tick."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Drives that a chair's own electronics recorded: the stick, and the speeds of its wheels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The table of a plant: all its trials, done one by one or in a pool of processes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Final

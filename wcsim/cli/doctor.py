@@ -1,7 +1,5 @@
 """`wcsim doctor`: does all that wcsim needs work on this machine? `wcsim cache`: built streets."""
 
-from __future__ import annotations
-
 import mmap
 import os
 import shutil

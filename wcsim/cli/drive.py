@@ -1,7 +1,5 @@
 """`wcsim drive TOWN`: a page on which a person drives, with or without assistance."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final

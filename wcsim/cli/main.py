@@ -1,7 +1,5 @@
 """The `wcsim` command: loads the subcommand it is given, and turns expected errors into a line."""
 
-from __future__ import annotations
-
 import errno
 import importlib
 import io

@@ -1,7 +1,5 @@
 """`wcsim networks`: what each network costs on this machine."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`wcsim serve`: a shared world, for clients that join and leave as they like."""
 
-from __future__ import annotations
-
 import shlex
 import socket
 from dataclasses import dataclass, replace

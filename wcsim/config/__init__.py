@@ -4,8 +4,6 @@ Angles are in degrees in keys that end in `_deg`, and nowhere else. Presets are 
 `wcsim/config/presets/`.
 """
 
-from __future__ import annotations
-
 from wcsim.config.base import Model, Text
 from wcsim.config.chair import PROFILE_SPEED_MPS, ChairConfig
 from wcsim.config.env import LEAST_WINDOW, EnvConfig, RewardConfig

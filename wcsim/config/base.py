@@ -1,7 +1,5 @@
 """The base of every file model, kinds of numbers, and messages for values out of bounds."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from itertools import islice

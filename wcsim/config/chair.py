@@ -1,7 +1,5 @@
 """Section `[chair]`: the wheelchair and its controller; `core/joystick.py` applies the limits."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import model_validator

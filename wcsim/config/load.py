@@ -9,8 +9,6 @@ brings a top speed. What they bring belongs to the bottom layer: it replaces val
 layer wins over it. Tables of wcsim itself choose no plant: they only say where its file lies.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar

@@ -5,8 +5,6 @@ the drive axle. Wheels, casters and anti-tips come in pairs, left and right alik
 wcsim lie in `wcsim/config/plants/`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path

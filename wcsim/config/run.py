@@ -1,7 +1,5 @@
 """A run: all sections together, and what they must agree on."""
 
-from __future__ import annotations
-
 import hashlib
 from typing import Annotated, Final, Self
 

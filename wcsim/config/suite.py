@@ -1,7 +1,5 @@
 """A suite of test episodes, as it lies in a file: frozen models, every field with its bounds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Annotated, Final, Self
 

@@ -3,8 +3,6 @@
 A box is its middle, the cosine and sine of its heading, half its length and half its width.
 """
 
-from __future__ import annotations
-
 import math
 
 from wcsim.core.jit import compile_exact_kernel

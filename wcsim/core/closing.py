@@ -1,7 +1,5 @@
 """A base class for what holds a handle and is used with `with`."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from typing import Self
 

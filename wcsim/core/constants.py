@@ -1,7 +1,5 @@
 """Numbers of the physical world, and a word, that several layers share; each with its reason."""
 
-from __future__ import annotations
-
 from typing import Final
 
 KERB_STEP_CM: Final = 5

@@ -1,7 +1,5 @@
 """Writes files whole or not at all; names new files; finds the cache of what can be made again."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

@@ -10,8 +10,6 @@ Rotations are nine plain floats, row by row, as a substep is too short for array
 counter-clockwise, pitch nose up positive, roll right side down positive, turned in this order.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -11,8 +11,6 @@ a kernel stay. Of processes that need the same copy at the same time one compile
 wait for a lock beside it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -5,8 +5,6 @@ It has a dead band, a shape, and limits of speed, acceleration and jerk. The dri
 simulated user steers by its inverse.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, Protocol
 

@@ -1,7 +1,5 @@
 """Calls a function with a library as soon as that is loaded, without loading it for that."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from importlib.abc import Loader, MetaPathFinder

@@ -8,8 +8,6 @@ holder ends, and shows it to processes that cannot see each other's numbers, as 
 share the place.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

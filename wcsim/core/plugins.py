@@ -4,8 +4,6 @@ They are never taken from a run folder, a policy or a town: a file of another pe
 which code runs here.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import importlib.util

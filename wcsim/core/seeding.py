@@ -7,8 +7,6 @@ True
 False
 """
 
-from __future__ import annotations
-
 import zlib
 
 import numpy as np

@@ -1,13 +1,12 @@
 """The policy beside a person: switched off and on, set to a level, and overruled, while it drives."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+from wcsim.agents.envs.episode_view import OBJECTS, InfoObjects
 from wcsim.agents.envs.seat_driver import PolicyAgentAdapter
 from wcsim.agents.policy_api import HearsSent, Levelled, Observation, Policy, TellsUnsafe, Warns
 from wcsim.errors import PolicyError, WcsimError
@@ -155,7 +154,7 @@ class Assistance:
 
     def _anew(self) -> None:
         self._agent.help.end()
-        self._agent.reset({"drawn": self._drawn})
+        self._agent.reset({OBJECTS: InfoObjects(drawn=self._drawn)})
 
     def _guarded(self, call: Callable[[], object]) -> None:
         try:

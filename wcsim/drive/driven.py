@@ -1,7 +1,5 @@
 """What a drive tells its observers (a recorder, a test): the records of its log, a tick or an event each."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from enum import StrEnum

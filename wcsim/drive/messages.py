@@ -1,7 +1,5 @@
 """What the pages of a drive and of a film say and hear: typed JSON with a bound on every field, read at one door."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Final
 

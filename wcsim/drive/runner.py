@@ -1,7 +1,5 @@
 """The process behind a page: it keeps time, hears what the page wants, draws for it, and moves a drive's session."""
 
-from __future__ import annotations
-
 import signal
 import time
 from abc import ABC, abstractmethod

@@ -1,7 +1,5 @@
 """One drive: a world with one chair, a person or a simulated user in it, a policy beside it. No sockets, no clock."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence

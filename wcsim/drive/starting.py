@@ -1,7 +1,5 @@
 """Where a drive begins: a town and a seed, or an episode of a suite, with the policy and the user that are there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass, replace

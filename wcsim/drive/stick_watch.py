@@ -3,8 +3,6 @@
 Pure but for what it remembers; times are a monotonic clock's.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

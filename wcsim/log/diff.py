@@ -1,7 +1,5 @@
 """The first difference between two logs, in words; and between a new trace and a golden one."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path

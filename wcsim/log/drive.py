@@ -1,7 +1,5 @@
 """A drive, read as a whole: the log of one chair and the person at its joystick."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version

@@ -1,7 +1,5 @@
 """The versions for which a result holds to the last bit."""
 
-from __future__ import annotations
-
 import os
 import platform
 from pathlib import Path

@@ -6,8 +6,6 @@ can be left out, doubled or moved. A zlib stream marks its own end: so a damaged
 a record that was only started.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import struct

@@ -3,8 +3,6 @@
 The header is JSON, a record is MessagePack; every number of both is bounded as it is read.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Annotated, Any, Final, Literal, TypeVar

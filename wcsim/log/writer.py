@@ -5,8 +5,6 @@ made again after a crash: a machine that loses its power loses at most its last 
 50 ticks. A truncated end is cut off, and saved beside the log, before the log is continued.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import time

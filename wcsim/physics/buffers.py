@@ -3,8 +3,6 @@
 A client that joins has its pictures in such buffers, and loads no renderer for it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """PyBullet, loaded without the line about its build time; everybody takes it from here."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from wcsim.core.processes import drop_stderr_lines

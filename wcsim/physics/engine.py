@@ -8,21 +8,18 @@ Triangle soups made fit for collision: welded, without slivers, cut to what PyBu
 street that no chair is near leave the engine, and come back from shapes that are kept.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.core.closing import ClosingContextBase
 from wcsim.core.constants import GRAVITY_MPS2 as GRAVITY_MPS2
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import Bullet, pybullet
-from wcsim.types import F64, ClassId, StreetMesh, TileKey
+from wcsim.types import F64, I64, ClassId, StreetMesh, TileKey
 
 _MAX_VERTICES: Final = 131_072  # B3_MAX_NUM_VERTICES of PyBullet
 MAX_FACES: Final = 524_288 // 3  # B3_MAX_NUM_INDICES
@@ -35,10 +32,10 @@ class _Soup:
     """Triangles that share vertices."""
 
     vertices_m: F64  # (V, 3)
-    faces: npt.NDArray[np.int64]  # (F, 3)
+    faces: I64  # (F, 3)
 
 
-def _tidy(vertices_m: F64, faces: npt.NDArray[np.int64]) -> _Soup:
+def _tidy(vertices_m: F64, faces: I64) -> _Soup:
     """Vertices closer than 0.1 mm become one, triangles without height go, vertices without triangle go.
 
     Args:
@@ -72,7 +69,7 @@ def _split(soup: _Soup) -> Iterator[_Soup]:
         yield from _split(_compact(soup.vertices_m, soup.faces[np.sort(part)]))
 
 
-def _height_m(points_m: F64, faces: npt.NDArray[np.int64]) -> F64:
+def _height_m(points_m: F64, faces: I64) -> F64:
     """Smallest height (F,) of each triangle; 0 for a degenerate one."""
     a, b, c = (points_m[faces[:, k]] for k in range(3))
     # By the cross product: Heron's formula, from the sides alone, cancels for slivers.
@@ -81,7 +78,7 @@ def _height_m(points_m: F64, faces: npt.NDArray[np.int64]) -> F64:
     return np.asarray(np.divide(double_area, longest, out=np.zeros_like(double_area), where=longest > 0))
 
 
-def _compact(points_m: F64, faces: npt.NDArray[np.int64]) -> _Soup:
+def _compact(points_m: F64, faces: I64) -> _Soup:
     used, local = np.unique(faces, return_inverse=True)
     return _Soup(vertices_m=points_m[used], faces=local.reshape(faces.shape))
 
@@ -320,7 +317,7 @@ def _check_step(step_s: float) -> None:
         raise PhysicsError(f"physics step is {step_s} s; expected 0.001 to 0.01 s: change tick_s or substeps")
 
 
-def _checked(mesh: StreetMesh) -> tuple[F64, npt.NDArray[np.int64]]:
+def _checked(mesh: StreetMesh) -> tuple[F64, I64]:
     """Vertices (V, 3) float64 and faces (F, 3) int64 of a mesh whose numbers are sound."""
     vertices = np.asarray(mesh.vertices_W_m, np.float64)
     faces = np.asarray(mesh.faces, np.int64)
@@ -335,7 +332,7 @@ def _checked(mesh: StreetMesh) -> tuple[F64, npt.NDArray[np.int64]]:
     return vertices, faces
 
 
-def _street_parts(vertices_m: F64, faces: npt.NDArray[np.int64]) -> Iterator[_Soup]:
+def _street_parts(vertices_m: F64, faces: I64) -> Iterator[_Soup]:
     if len(faces):
         yield from _split(_tidy(vertices_m, faces))
 

@@ -8,8 +8,6 @@ A body of mass 0 cannot be pushed. That is right for a car; a person would be a 
 gives way by some centimetres and stops a chair over a tenth of a second instead of at once.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import KeysView, Sequence
 from dataclasses import dataclass

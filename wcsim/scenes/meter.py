@@ -5,8 +5,6 @@ What a scene's chairs drive over: how narrow the pavement was, and what the ligh
 What the others do around the chairs of a scene: how near they come, who overtakes, who gives way and drives on.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

@@ -3,8 +3,6 @@
 `python -m wcsim.scenes.run FOLDER TRACE` runs one scene and writes its facts as a line of JSON.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

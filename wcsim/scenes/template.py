@@ -1,7 +1,5 @@
 """A small scene that runs as it is, as a beginning for one's own: a street with a zebra, a car, a wheelchair."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 It is a log with one record a frame. `audit_ledgers` compares ledgers with a world's journal.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby

@@ -1,7 +1,5 @@
 """What a world process and its clients are started with."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

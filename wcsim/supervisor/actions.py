@@ -6,8 +6,6 @@ than a third of the directions of a full push would have no point within 0.1768,
 distance that still earns the reward for following.
 """
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -117,16 +117,17 @@ class KpiStep(NamedTuple):
     @classmethod
     def of(cls, info: Mapping[str, Any], free: bool) -> KpiStep:
         """One step, from an environment's `info`."""
-        state, at_m = info.get("state"), None
+        objects = info["objects"]
+        state, at_m = objects.state, None
         if state is not None:
             at_m = round(float(state.p_WB_m[0]), 2), round(float(state.p_WB_m[1]), 2)
         return cls(
             distance=float(info["joystick_distance"]),
-            user=info["asked"],
-            given=info["given"],
+            user=objects.asked,
+            given=objects.given,
             speed_mps=float(info["speed_mps"]),
             free=free,
-            events=info["events"],
+            events=objects.events,
             at_m=at_m,
         )
 

@@ -9,8 +9,6 @@ that nothing was measured there; whatever was measured is above 0.
 chair has them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Colours of the pixel classes, and how wcsim's own classes fold into those of Cityscapes."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -9,8 +9,6 @@ full.
 A user's own term is a class with two methods, named `module:Class` on the command line.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import Final, Literal, Protocol

@@ -7,8 +7,6 @@ straight on; people may do otherwise, see `walkers`.
 In this order: the roll-outs, the ground below the wheels, solid things, and vehicles.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple
 

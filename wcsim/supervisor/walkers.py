@@ -7,8 +7,6 @@ chair that does not come towards them is at fault, as the world counts it
 (`physics/wheelchair/contacts.py`), and is none of the chair's doing.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

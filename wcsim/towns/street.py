@@ -1,7 +1,5 @@
 """A town's street: built once, by `build_street.py`, and saved in a cache."""
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import time

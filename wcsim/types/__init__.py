@@ -6,8 +6,6 @@ axle. Dataclasses are frozen; arrays in them are read-only by convention, and th
 are valid until the next tick.
 """
 
-from __future__ import annotations
-
 from wcsim.types.actors import ActorKind, ActorLook, ActorState, SignalState, chair_actor_id
 from wcsim.types.arrays import F32, F64, I32, I64, U8, Bool, ComparesArrays
 from wcsim.types.bounds import CLIENT_NAME

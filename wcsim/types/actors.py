@@ -1,7 +1,5 @@
 """Vehicles, people and signals: what moves or changes in the street besides wheelchairs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum

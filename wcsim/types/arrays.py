@@ -1,7 +1,5 @@
 """Names for NumPy arrays, and equality for dataclasses that hold arrays."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bounds of the fields that a peer or a file fills. Each field has one of these types."""
 
-from __future__ import annotations
-
 from typing import Annotated, Final
 
 import msgspec

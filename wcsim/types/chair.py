@@ -1,7 +1,5 @@
 """A wheelchair's commands, state, outline, contacts, and sensor measurements in one tick."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 

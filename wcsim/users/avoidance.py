@@ -6,8 +6,6 @@ little aside of such a route. A ramp whose sides fall away twists under a chair,
 wheels and throws it off its line, so people go slowly there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ happens within a tick changes what it does. A tremor of 4.5 Hz is too near the N
 a tick of 0.1 s to be drawn there.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Final

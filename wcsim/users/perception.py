@@ -1,7 +1,5 @@
 """What the user detects of the street: a look is not enough, and what was missed stays missed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

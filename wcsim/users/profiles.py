@@ -4,8 +4,6 @@ The values follow published ranges for reaction times and tremor: plausible, but
 `recorded` is fitted. `ataxic` is meant to be held out of training.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """A route as a line to drive along: where a point is on it, how fast its corners can be taken."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left, bisect_right
 from typing import Final, NamedTuple

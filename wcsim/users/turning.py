@@ -4,8 +4,6 @@ A chair turns about its drive axle, and its front swings out. No part of it may 
 kerbs that rise. Over kerbs that fall it may lean, as long as its wheels stay up.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

@@ -6,8 +6,6 @@ nothing moves for long. Its hand answers late and not quite exactly. The agent s
 the clean intent is for metrics.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping

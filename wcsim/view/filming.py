@@ -1,7 +1,5 @@
 """Films: a chair drives in a town for the camera, or moments of a recorded episode are shown again."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -11,7 +9,7 @@ from typing import Any, Final, Self
 import cv2
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Info, trim_frame_window
+from wcsim.agents.envs.episode_view import OBJECTS, Info, trim_frame_window
 from wcsim.agents.envs.seat_driver import AgentSeatDriver, PolicyAgentAdapter
 from wcsim.agents.evaluation.suite.playback import PlayedStep
 from wcsim.agents.opening.named_policy import (
@@ -166,15 +164,16 @@ class FilmedDrive:
     def add(self) -> U8:
         """Drive one tick and add its picture to the video, which is returned."""
         self.drive()
-        snapshot, info, policy = self.world.snapshot, self._info, self._policy
+        snapshot, policy = self.world.snapshot, self._policy
         speed = float(np.hypot(*snapshot.clients[0].plant.v_B_mps[:2]))
         caption = f"{self._ticks * self.tick_s:.1f} s   {speed:.2f} m/s"
         if policy is None:
             picture = captioned(self._colours(), f"{caption}   {len(snapshot.actors)} actors near")
         else:
-            crash = "   CRASH" if info["events"].crashed else ""
+            told = self._info[OBJECTS]
+            crash = "   CRASH" if told.events.crashed else ""
             picture = captioned(self._colours(), f"{policy.name}   {caption}{crash}")
-            with_sticks(picture, info["asked"], info["given"], warning=isinstance(policy, Warns) and policy.warning)
+            with_sticks(picture, told.asked, told.given, warning=isinstance(policy, Warns) and policy.warning)
         return self._write(picture)
 
     def shot(self, after_s: float) -> Shot:

@@ -1,7 +1,5 @@
 """A running world and its clients, on one screen: progress of each, and the client that delays it."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from typing import Self
 

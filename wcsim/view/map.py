@@ -1,7 +1,5 @@
 """The street around a wheelchair from straight above, with what moves drawn as boxes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

@@ -3,8 +3,6 @@
 Videos are WebM files with VP8, written through OpenCV, which a browser plays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -9,6 +9,7 @@ from tests.agents.danger.test_policy import policy_of
 from tests.agents.driven import Script, driven
 from tests.agents.evaluation.suite.lists import Held, block_of, order_of
 from wcsim.agents.danger.policy import DangerPolicy
+from wcsim.agents.envs.episode_view import OBJECTS
 from wcsim.agents.evaluation.suite.drive import drive_block
 from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.agents.policy_api import HearsDelay, pass_delay
@@ -34,7 +35,9 @@ class Drawing(Script):
     """Draws a delay of 0, 1, 2, ... ticks."""
 
     def _info(self, distance):
-        return {**super()._info(distance), "drawn": Drawn(action_delay_ticks=len(self.seeds) - 1)}
+        info = super()._info(distance)
+        info[OBJECTS].drawn = Drawn(action_delay_ticks=len(self.seeds) - 1)
+        return info
 
 
 @pytest.mark.parametrize("ticks", [0, 3])

@@ -10,6 +10,7 @@ from torch import nn
 from tests.agents.chain import LENGTH, Chain
 from tests.agents.toy import explores, logs_in, memory_of
 from tests.support.plants import CALM
+from wcsim.agents.envs.episode_view import OBJECTS, InfoObjects
 from wcsim.agents.learning.callbacks import EpisodeMetricsCallback, EventReportCallback, _DiscountedReturn
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
@@ -24,11 +25,12 @@ def test_a_jam_is_reported_once_a_step_and_crashes_each_with_their_words():
     told = []
     watch = EventReportCallback(lambda kind, **values: told.append((kind, values)))
     crash = replace(CALM, crashed=True, crash_reason="collision", crash="was hit by car c", jam_teleports=2)
-    watch.num_timesteps, watch.locals = 7, {"infos": [{"events": each} for each in (crash, CALM, crash)]}
+    infos = [{OBJECTS: InfoObjects(events=each)} for each in (crash, CALM, crash)]
+    watch.num_timesteps, watch.locals = 7, {"infos": infos}
     assert watch._on_step()
     fact = ("crash", {"step": 7, "reason": "collision", "told": "was hit by car c"})
     assert told == [("jam", {"step": 7, "teleported": 2}), fact, fact]
-    watch.locals = {"infos": [{"events": CALM}, {}]}
+    watch.locals = {"infos": [{OBJECTS: InfoObjects(events=CALM)}, {}]}
     assert watch._on_step()
     assert len(told) == 3
 

@@ -10,6 +10,7 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 import wcsim.agents.learning.seqdqn as seqdqn
 from tests.agents.toy import make_replay, q_config, q_learner, toy_camera
 from tests.support.samples import ACTIONS
+from wcsim.agents.envs.episode_view import OBJECTS, InfoObjects
 from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
 from wcsim.agents.learning.seqdqn import (
     MARGIN_OFFSET,
@@ -112,7 +113,12 @@ def filled(steps, rows=1000, crash_every=7, unknown=()):
         done = k % crash_every == crash_every - 1
         truth = None if number + 1 in unknown else SimpleNamespace(safe_actions=mask(number + 1))
         replay.add(
-            observed(number), observed(number + 1), np.array([0]), np.zeros(1), np.array([done]), [{"truth": truth}]
+            observed(number),
+            observed(number + 1),
+            np.array([0]),
+            np.zeros(1),
+            np.array([done]),
+            [{OBJECTS: InfoObjects(truth=truth)}],
         )
         number += 2 if done else 1  # the observation after a crash is the episode's last; the next begins another
     return replay
@@ -143,7 +149,7 @@ def test_a_look_ahead_ends_with_the_episode():
 
 def advised(replay, k, safe):
     """One more step, and what is safe after it."""
-    info = {"truth": SimpleNamespace(safe_actions=safe)}
+    info = {OBJECTS: InfoObjects(truth=SimpleNamespace(safe_actions=safe))}
     replay.add(observed(k), observed(k + 1), np.array([0]), np.zeros(1), np.array([False]), [info])
 
 
@@ -251,7 +257,7 @@ def taught():
         stay = np.array([ACTIONS.nearest((0.0, 0.9))])
         buffer.add(
             wall_or_way(k % 2 == 1), wall_or_way((k + 1) % 2 == 1), stay, np.zeros(1), np.array([False]),
-            [{"truth": truth}],
+            [{OBJECTS: InfoObjects(truth=truth)}],
         )  # fmt: skip
     model.train(60, 16)
     return model

@@ -181,7 +181,7 @@ class Restarted(gym.Wrapper):
         self.steps += 1
         if self.steps == 30:
             self.last = self.seen
-            return self.last, 0.0, False, True, {"reason": WORLD_RESTARTED}
+            return self.last, 0.0, False, True, {WORLD_RESTARTED: True}
         self.seen, *rest = super().step(action)
         return self.seen, *rest
 

@@ -128,7 +128,7 @@ class Cut(ToyStreet):
         self.steps += 1
         if self.steps == 75:
             _, _, _, _, info = super().step(action)
-            return self.seen, 0.0, False, True, {**info, "reason": WORLD_RESTARTED}
+            return self.seen, 0.0, False, True, {**info, WORLD_RESTARTED: True}
         self.seen, *rest = super().step(action)
         return self.seen, *rest
 
@@ -231,22 +231,17 @@ def test_the_first_decision_of_a_sitting_explores_as_any_other(tmp_path, monkeyp
     assert rates == [pytest.approx(0.7)] * 60
 
 
-@pytest.mark.parametrize("reward", [float("nan"), float("inf")])
-def test_a_reward_that_is_no_number_is_refused_where_it_comes_and_the_run_goes_on_without_it(reward, tmp_path):
-    """Once is enough: kept, it would be in every tenth batch of this memory, and in the returns of five steps."""
+def test_a_reward_that_the_environment_refuses_ends_the_run_and_it_goes_on_without_it(tmp_path):
+    """As a term that is not finite: kept, it would be in every tenth batch of this memory, and in the returns of five
+    steps."""
+
+    def refuse():
+        raise ConfigError("reward term Broken returned nan")
+
     asked = config(total_steps=120, phase1_steps=40, checkpoint_every=30)
     assert asked.learn.n_step > 1
-    broken = Nervous(70, lambda: None)
-    step = broken.step
-
-    def told(action):
-        seen, good, *rest = step(action)
-        return seen, (reward if broken.done_steps == 70 else good), *rest
-
-    broken.step = told
-    with pytest.raises(PolicyError, match=rf"reward of step 70 was {reward}; expected a finite .*--reward") as said:
-        train_toy(asked, tmp_path / "run", lambda: broken)
-    assert "\n" not in str(said.value)
+    with pytest.raises(ConfigError, match="Broken returned nan"):
+        train_toy(asked, tmp_path / "run", lambda: Nervous(70, refuse))
     train_toy(asked, tmp_path / "run", street, resume=True)
     assert open_run(tmp_path / "run").manifest.status == "done"
     assert all(row["loss"] and row["return"] for row in read_metrics(tmp_path / "run" / "metrics.csv")[2:])

@@ -6,6 +6,7 @@ import pytest
 from tests.agents.driven import Script, driven
 from tests.agents.toy import toy_camera
 from tests.support.refusing import refusing
+from wcsim.agents.envs.episode_view import OBJECTS
 from wcsim.agents.opening import named_policy
 from wcsim.agents.opening.named_policy import open_named_policy, resolve_policy_config
 from wcsim.agents.policies.baselines import make_baseline_policy
@@ -30,7 +31,9 @@ def test_the_oracle_is_shown_the_truth_of_the_moment_it_answers_to():
             info = super()._info(distance)
             first_s = np.ones(81)
             first_s[self.k] = np.inf
-            return {**info, "truth": replace(info["truth"], first_s=first_s)} if self.truth else info
+            if self.truth:
+                info[OBJECTS].truth = replace(info[OBJECTS].truth, first_s=first_s)
+            return info
 
     asked: list[int] = []
     oracle = make_baseline_policy("oracle", CONFIG)

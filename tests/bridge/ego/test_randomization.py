@@ -95,9 +95,9 @@ def test_what_was_drawn_reaches_the_client_through_an_environment_and_a_message(
     env = WheelchairEnv(str(corner), config=config, seed=4)
     try:
         _, info = env.reset()
-        drawn = info["drawn"]
+        drawn = info["objects"].drawn
         assert drawn == _draw(config.vary, 1, 4, 0, 0)
-        assert env.step(0)[-1]["drawn"] == drawn
+        assert env.step(0)[-1]["objects"].drawn == drawn
         reply = decode_reply(encode_message(Frame(epoch=0, tick=1, life=0, client=env._chair.now)))
         assert isinstance(reply, Frame) and reply.client.drawn == drawn
     finally:

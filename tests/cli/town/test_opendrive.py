@@ -13,29 +13,36 @@ from wcsim.towns.sumo.net import LaneKind, read_net
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
-_LANE = '<lane id="{}" type="{}"><width sOffset="0" a="{}" b="0" c="0" d="0"/></lane>'
-_SIDES = (("driving", 3.5), ("biking", 1.5), ("border", 0.3), ("sidewalk", 2.4))
-
-
-def hand_written() -> str:
-    """A street of 120 m that climbs by 3 %, with a house, a sign and a slope across."""
-    right, left = (
-        "".join(_LANE.format(sign * number, *lane) for number, lane in enumerate(_SIDES, 1)) for sign in (-1, 1)
-    )
-    return (
-        '<?xml version="1.0"?><OpenDRIVE xmlns="http://code.asam.net/simulation/standard/opendrive_schema">'
-        '<header revMajor="1" revMinor="7" vendor="somebody"/><road id="1" length="120" junction="-1"><planView>'
-        '<geometry s="0" x="0" y="0" hdg="0" length="120"><line/></geometry></planView>'
-        '<elevationProfile><elevation s="0" a="5" b="0.03" c="0" d="0"/></elevationProfile>'
-        '<lateralProfile><superelevation s="0" a="0.02" b="0" c="0" d="0"/></lateralProfile><lanes><laneSection s="0">'
-        f'<left>{left}</left><center><lane id="0" type="none"/></center><right>{right}</right></laneSection></lanes>'
-        '<objects><object id="7" type="building" s="5" t="20"/></objects>'
-        '<signals><signal id="8" type="274" s="9" t="-5" orientation="+" dynamic="no"/></signals></road></OpenDRIVE>'
-    )
+_MAP = """<?xml version="1.0"?>
+<OpenDRIVE xmlns="http://code.asam.net/simulation/standard/opendrive_schema">
+<header revMajor="1" revMinor="7" vendor="somebody"/>
+<road id="1" length="120" junction="-1">
+<planView><geometry s="0" x="0" y="0" hdg="0" length="120"><line/></geometry></planView>
+<elevationProfile><elevation s="0" a="5" b="0.03" c="0" d="0"/></elevationProfile>
+<lateralProfile><superelevation s="0" a="0.02" b="0" c="0" d="0"/></lateralProfile>
+<lanes>
+<laneSection s="0">
+<left>
+<lane id="1" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane>
+<lane id="2" type="biking"><width sOffset="0" a="1.5" b="0" c="0" d="0"/></lane>
+<lane id="3" type="border"><width sOffset="0" a="0.3" b="0" c="0" d="0"/></lane>
+<lane id="4" type="sidewalk"><width sOffset="0" a="2.4" b="0" c="0" d="0"/></lane></left>
+<center>
+<lane id="0" type="none"/></center>
+<right>
+<lane id="-1" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane>
+<lane id="-2" type="biking"><width sOffset="0" a="1.5" b="0" c="0" d="0"/></lane>
+<lane id="-3" type="border"><width sOffset="0" a="0.3" b="0" c="0" d="0"/></lane>
+<lane id="-4" type="sidewalk"><width sOffset="0" a="2.4" b="0" c="0" d="0"/></lane></right></laneSection></lanes>
+<objects><object id="7" type="building" s="5" t="20"/></objects>
+<signals><signal id="8" type="274" s="9" t="-5" orientation="+" dynamic="no"/></signals>
+</road></OpenDRIVE>
+"""
+"""A street of 120 m that climbs by 3 %, with a house, a sign and a slope across."""
 
 
 def test_a_map_is_imported_with_its_own_pavements_and_told_what_is_lost(wcsim: Run, folder: Path) -> None:
-    Path("m.xodr").write_text(hand_written())
+    Path("m.xodr").write_text(_MAP)
     made = wcsim("town", "import", "--opendrive", "m.xodr", "--name", "m", "--traffic", "0", "--json", "m.json")
     assert made.code == 1, "a single street has two sides"
     written = json.loads(Path("m.json").read_text())

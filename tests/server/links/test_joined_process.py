@@ -29,7 +29,7 @@ env = WheelchairEnv(config=config, join=decode_json_line(SeatRequest, sys.argv[1
 env.reset()
 for _ in range(3):
     step = env.step(40)
-print(json.dumps([step.info["events"].step, [name for name in {LIBRARIES + MODULES} if name in sys.modules]]))
+print(json.dumps([step.info["event_step"], [name for name in {LIBRARIES + MODULES} if name in sys.modules]]))
 env.close()
 """
 

@@ -28,6 +28,7 @@ from wcsim.towns.sumo.net import read_net
 _TYPES = '<vType id="slow" vClass="passenger" maxSpeed="9"/>'
 _LOST = """<vehicle id="lost" depart="50400"><route edges="elsewhere nowhere"/></vehicle>
 <trip id="found" type="slow" depart="50400" from="A0B0" to="B1C1"/>
+<trip id="far" type="slow" depart="58000" from="A0B0" to="B1C1"/>
 <trip id="below" type="slow" depart="50399" from="A0B0" to="B1C1"/>"""
 
 
@@ -92,7 +93,7 @@ def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_pa
 
 def test_a_demand_is_looked_at_from_its_own_begin(theirs: Town) -> None:
     named(theirs, '"50300"', '"0"')
-    assert _unroutable_trips(open_town(theirs.sumocfg)) == 0  # nobody departs in those ten minutes
+    assert _unroutable_trips(open_town(theirs.sumocfg)) == 1  # below a later one; nobody departs in those ten minutes
 
 
 def test_who_departs_before_the_begin_is_not_missed(theirs: Town) -> None:

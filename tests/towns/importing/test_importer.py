@@ -17,7 +17,13 @@ from tests.towns.made.imported import imported
 from wcsim.cli.main import main
 from wcsim.core.files import write_folder_atomically
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.check import _demand_classes, _faults_of, _find_notes, _unroutable_trips, check_town
+from wcsim.towns.checks.check import (
+    _demand_classes,
+    _find_notes,
+    _no_walkers,
+    _unroutable_trips,
+    check_town,
+)
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.ground.surfaces import walkable_lanes
 from wcsim.towns.importing import demand
@@ -153,8 +159,8 @@ def test_orders_of_traffic_are_followed(order: ImportOrder) -> None:
     none = import_town(replace(order, traffic=0.0)).town
     assert len(read_root(none.routes[0])) == 0
     for town, cure in ((some, "randomTrips"), (none, "--traffic 1 ")):
-        (fault,) = _faults_of(town, read_net(town.net), replace(FINE, classes=()))
-        assert "no pedestrians" in fault and cure in fault
+        (note,) = _no_walkers(town, read_net(town.net), replace(FINE, classes=()))
+        assert "no pedestrians" in note and cure in note
 
 
 def test_a_town_in_the_hills_is_no_steeper_than_ordered_and_can_be_built_again(order: ImportOrder) -> None:

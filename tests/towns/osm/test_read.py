@@ -50,22 +50,12 @@ def test_a_pbf_that_was_cut_off_is_told_apart(tiny: Path) -> None:
 
 
 def test_o5m_gives_the_same_extract(tmp_path: Path) -> None:
-    def signed(number: int) -> bytes:
-        value, found = 2 * number if number >= 0 else -2 * number - 1, b""
-        while value > 127:
-            value, found = value >> 7, found + bytes([value & 127 | 128])
-        return found + bytes([value])
-
-    def item(kind: int, *parts: bytes) -> bytes:
-        return bytes([kind, len(b"".join(parts))]) + b"".join(parts)
-
-    nodes = [
-        item(0x10, signed(step), b"\0", signed(lon), signed(lat))
-        for step, lon, lat in ((1, 250_000_000, 600_000_000), (1, 10_000, 0), (1, 0, 10_000))
-    ]
-    refs = signed(1) * 3
-    way = item(0x11, signed(5), b"\0", bytes([len(refs)]), refs, b"\0highway\0residential\0")
-    (tmp_path / "a.o5m").write_bytes(b"\xff\xe0\x04o5m2" + b"".join(nodes) + b"\xff" + way + b"\xfe")
+    # Three nodes and a residential street through them: differences of ids and of degrees times 10 million.
+    data = (
+        "ffe0046f356d32100c020080cab5ee0180989abc0410060200a09c01001006020000a0"
+        "9c01ff111b0a00030202020068696768776179007265736964656e7469616c00fe"
+    )
+    (tmp_path / "a.o5m").write_bytes(bytes.fromhex(data))
     root = read_extract(tmp_path / "a.o5m").root
     assert [each.get("lat") for each in root.iterfind("node")] == ["60.0000000", "60.0000000", "60.0010000"]
     assert [nd.get("ref") for nd in root.iter("nd")] == ["1", "2", "3"]

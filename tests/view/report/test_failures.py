@@ -18,6 +18,7 @@ from tests.view.report.results import (
     with_episodes,
     write_result,
 )
+from wcsim.agents.envs.episode_view import InfoObjects
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.supervisor.kpi import KpiStep, sum_kpi_steps
 from wcsim.types import Joystick
@@ -90,8 +91,9 @@ def test_a_steady_speed_is_told_however_long_the_episode(steps):
     for step in range(1, steps + 1):
         state = SimpleNamespace(p_WB_m=(0.15 * step, 0.0, 0.0))
         at_rest = Joystick(0.0, 0.0)
-        told = {"events": CALM, "joystick_distance": 0.0, "asked": at_rest, "given": at_rest, "speed_mps": 1.5}
-        driven.append(KpiStep.of({**told, "state": state}, True))
+        objects = InfoObjects(state=state, events=CALM, asked=at_rest, given=at_rest)
+        told = {"objects": objects, "joystick_distance": 0.0, "speed_mps": 1.5}
+        driven.append(KpiStep.of(told, True))
     path_m = sum_kpi_steps(driven, 0.1)["path_m"]
     assert _last_speed_mps(kept(path_m, 0.1 * steps)) == pytest.approx(1.5, abs=0.2 if steps in (11, 121) else 0.06)
 

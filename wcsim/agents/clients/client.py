@@ -8,8 +8,6 @@ grows a little, whatever is done about it. A world is replaced between epochs fo
 too, where an epoch has just started: its episode was cut there anyway.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

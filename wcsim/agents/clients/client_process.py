@@ -5,8 +5,6 @@ Its environment is a seat in a running world, its run folder a normal one. It en
 minutes.
 """
 
-from __future__ import annotations
-
 import argparse
 import select
 import signal

@@ -1,12 +1,9 @@
 """Recorded driving as the danger network learns from it: features and labels, packed, drawn in batches."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import torch
 import zstandard
 
@@ -28,7 +25,7 @@ from wcsim.config import RunConfig
 from wcsim.core.reading import decompress_zstd
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.types import F32, F64, I64, U8, Bool
+from wcsim.types import F32, F64, I32, I64, U8, Bool
 
 Inputs = tuple[torch.Tensor, ...]
 """Picture, vector, swept cells and frames, see `DangerNet.forward`."""
@@ -231,7 +228,7 @@ def to_tensors(extractor: FeatureExtractor, picture: U8, vector: F32, start: F64
     )
 
 
-def _swept(extractor: FeatureExtractor, starts: F64) -> npt.NDArray[np.int32]:
+def _swept(extractor: FeatureExtractor, starts: F64) -> I32:
     """Over which cells each action sweeps (B, A, n) from these states (B, 6); n is 0 without a street map."""
     around = extractor.around
     if not extractor.street:

@@ -1,7 +1,5 @@
 """Supervised learning of dangers: binary cross-entropy over all joystick positions of a step whose label is known."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

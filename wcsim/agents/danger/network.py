@@ -5,8 +5,6 @@ them where each position would bring the chair, and a context head on the street
 pictures (eye `picture`): a network of the registry, then a dense layer. `both` has all of them.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

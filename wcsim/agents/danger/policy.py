@@ -5,8 +5,6 @@ choice is calm, so
 that the chair does not waver between two ways round. The threshold is the assistance level, and can be set at run time.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Final
 

@@ -7,8 +7,6 @@ Its first row is the farthest ahead, its first column the farthest to the left.
 Over which of its cells each joystick position leads: it is held for half a second and then let go, as the oracle does.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

@@ -5,11 +5,9 @@ There are four, of the same links: Gymnasium's (`agents/envs/wheelchair_env.py`)
 (`agents/envs/vector_env.py`) and that of Stable-Baselines3's (`agents/envs/vec_env.py`).
 """
 
-from __future__ import annotations
-
 import copy
 import operator
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypedDict
@@ -42,6 +40,8 @@ RENDER_MODES: Final = ("rgb_array",)
 RENDER_FPS: Final = 10  # of a tick of 0.1 s; an environment has the one of its own tick
 SEED_LIMIT: Final = 1 << 31
 MAX_CHAIRS: Final = 64  # of one world
+TASK: Final = "drive"
+TASK_DESCRIPTION: Final = "Drive where the wheelchair's user wants to go, without a crash."
 
 
 class EnvOptions(TypedDict, total=False):
@@ -138,7 +138,14 @@ def make_env_settings(
                 f"unexpected keyword argument {name!r}; expected {', '.join(known)}"
                 f"{meant(name, known)}"
             )
-    _require_terms(options.get("reward_terms", ()))
+    terms: object = options.get("reward_terms", ())
+    if not isinstance(terms, Sequence) or any(
+        isinstance(term, type) or not is_reward_term(term) for term in terms
+    ):
+        raise ConfigError(
+            f"reward_terms={escape_repr(terms)}; expected a list of objects with the methods "
+            "reset() and reward(before, after), see examples/own_reward.py"
+        )
     config = options.get("config")
     if config is not None and "preset" in options:
         raise ConfigError(
@@ -170,11 +177,13 @@ def make_env_settings(
     )
 
 
-def validate_chair_count(chairs: int) -> int:
-    """A number of chairs. Raises ConfigError for one that no world can have."""
-    if not 1 <= chairs <= MAX_CHAIRS:
-        raise ConfigError(f"chairs={chairs}; expected 1 to {MAX_CHAIRS} in one world")
-    return chairs
+def refuse_reset_options(names: Iterable[str]) -> None:
+    """Raise ConfigError for any name: no reset takes options, as environments take them."""
+    for name in names:
+        raise ConfigError(
+            f"reset() got the option {escape_repr(name)}; expected none: what can be set, an "
+            f"environment is made with{meant(str(name), ('town', *EnvOptions.__annotations__))}"
+        )
 
 
 def validate_seed(seed: object) -> int | None:
@@ -208,12 +217,16 @@ def draw_random_seed() -> int:
 class ChairGroup:
     """All chairs of a world, by seat; the world is made by the first `begin`."""
 
-    def __init__(
-        self, spec: StreetEnvSettings, count: int, terms: Sequence[RewardTerm] = ()
-    ) -> None:
-        """So many chairs, each with its own copy of the user's reward terms, which have a state."""
+    def __init__(self, spec: StreetEnvSettings, count: int, options: EnvOptions) -> None:
+        """So many chairs, each with its own copy of the user's reward terms, which have a state.
+
+        Raises ConfigError for a number of chairs that no world can have.
+        """
+        if not 1 <= count <= MAX_CHAIRS:
+            raise ConfigError(f"chairs={count}; expected 1 to {MAX_CHAIRS} in one world")
         self.spec = spec
-        self.all = [SeatEnvAdapter(spec.config, copy.deepcopy(tuple(terms))) for _ in range(count)]
+        terms = tuple(options.get("reward_terms", ()))
+        self.all = [SeatEnvAdapter(spec.config, copy.deepcopy(terms)) for _ in range(count)]
         self._group: SeatLinkGroup | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -296,14 +309,3 @@ class ChairGroup:
             chair.now = None
         if group is not None:
             group.close()
-
-
-def _require_terms(terms: object) -> None:
-    """Raise ConfigError for what is no list of objects with the methods of `RewardTerm`."""
-    if not isinstance(terms, Sequence) or any(
-        isinstance(term, type) or not is_reward_term(term) for term in terms
-    ):
-        raise ConfigError(
-            f"reward_terms={escape_repr(terms)}; expected a list of objects with the methods "
-            "reset() and reward(before, after), see examples/own_reward.py"
-        )

@@ -7,11 +7,12 @@ episode; then each step is a `command` and its `finish_step`.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from dataclasses import fields, replace
+from typing import Any, Final, NamedTuple, get_args
 
 import gymnasium
 import numpy as np
@@ -21,23 +22,55 @@ from wcsim.agents import policy_api
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, JOYSTICK_KEY, RGB_KEY, STATE_SENSE
 from wcsim.config import RunConfig
 from wcsim.core.reading import escape_repr
-from wcsim.errors import BadActionError, ConfigMismatchError, PolicyError, ProtocolError
+from wcsim.errors import (
+    BadActionError,
+    ConfigError,
+    ConfigMismatchError,
+    PolicyError,
+    ProtocolError,
+)
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 from wcsim.supervisor.observation import NEAR, Observation, make_observation, make_state_observation
 from wcsim.supervisor.rewards import (
     DISTANCE_TOLERANCE,
+    CrashReason,
     RewardTerm,
     compute_reward_terms,
     joystick_distance,
 )
-from wcsim.types import F32, ClientSnapshot, Command, Drawn, Joystick, RewardTerms
+from wcsim.types import F32, U8, ClientSnapshot, Command, Drawn, Joystick, RewardTerms
+from wcsim.types.chair import AT_REST
 
-WORLD_RESTARTED: Final = "world_restarted"
+WORLD_RESTARTED: Final = "world_restarted"  # key of `info`
+OBJECTS: Final = "objects"  # key of `info`
+_NUMBERS: Final = (bool, int, float, np.ndarray)
+_NO_REWARD: Final = RewardTerms(base=0.0, joystick=0.0, accel=0.0, tilt=0.0, crash=0.0)
 _IMAGE_KEYS: Final = (CLASS_KEY, DEPTH_KEY, RGB_KEY, policy_api.COLOURS_KEY)
 
 # Of an environment: pictures and numbers by name, or the rows of `state`.
 EnvObservation = Observation | F32
 Info = dict[str, Any]
+
+
+class InfoObjects(np.ndarray[Any, Any]):
+    """What else is known of a frame, as attributes of an array without elements.
+
+    What converts, stacks or stores the numbers in `info` finds none here, and drops the rest. The
+    attributes are the frame's `state`, `events`, `contacts`, `truth` and `drawn`, and of the step
+    the `reward_terms` and the sticks that were `asked` and `given`. What is not there is None.
+    They stay in their process.
+    """
+
+    state = truth = drawn = None
+
+    def __new__(cls, **objects: Any) -> InfoObjects:
+        """An array (0,) with these attributes."""
+        made = np.empty(0).view(cls)
+        made.__dict__.update(objects)
+        return made
+
+    def __array_finalize__(self, source: object) -> None:
+        self.__dict__.update(getattr(source, "__dict__", {}))
 
 
 class EnvStepResult(NamedTuple):
@@ -75,7 +108,7 @@ class SeatEnvAdapter:
         self._state = config.env.observation == "state"
         self._window = FrameStacker(config.env.frames)
         self._observation: EnvObservation = {}  # the last one
-        self._given = Joystick(0.0, 0.0)  # as commanded last
+        self._given = AT_REST  # as commanded last
         self._arrived = False  # at a destination of this episode
 
     @property
@@ -84,7 +117,7 @@ class SeatEnvAdapter:
         return self.now is not None and self.now.first is None
 
     @property
-    def picture(self) -> npt.NDArray[np.uint8] | None:
+    def picture(self) -> U8 | None:
         """The colours of the networks' camera, (H, W, 3) uint8; None where none are drawn."""
         if self.now is None or not self.now.sensors.cameras:
             return None
@@ -106,7 +139,7 @@ class SeatEnvAdapter:
         self._window.reset()
         self._arrived = False
         self._observation = self._observed(first)
-        return self._observation, self._info(first, None, 0.0)
+        return self._observation, self._info(first)
 
     def begin_next(self) -> tuple[EnvObservation, Info]:
         """Begin the next episode, whose first frame is part of the last frame of this one.
@@ -149,7 +182,10 @@ class SeatEnvAdapter:
         return Command(seat=now.seat, tick=now.tick, joystick=self._given)
 
     def finish_step(self, after: ClientSnapshot) -> EnvStepResult:
-        """The result of the last command; `after` is the seat's frame after the tick."""
+        """The result of the last command; `after` is the seat's frame after the tick.
+
+        Raises ConfigError for a user's reward term that is not finite.
+        """
         # 1. Reward. The command answered the user's stick of the frame before.
         before = self.now
         if before is None:
@@ -165,9 +201,14 @@ class SeatEnvAdapter:
             after.events,
             config,
         )
-        if self.terms:
-            extra = sum(float(term.reward(before, after)) for term in self.terms)
-            terms = replace(terms, extra=extra)
+        for term in self.terms:
+            reward = float(term.reward(before, after))
+            if not math.isfinite(reward):
+                raise ConfigError(
+                    f"reward term {type(term).__name__} returned {reward} in step "
+                    f"{after.events.step} of an episode; expected a finite number: correct the term"
+                )
+            terms = replace(terms, extra=terms.extra + reward)
         # 2. Observation and info. The distance in `info` does not depend on the reward's settings.
         self._observation = self._observed(after)
         self._arrived = self._arrived or after.events.arrived
@@ -200,10 +241,8 @@ class SeatEnvAdapter:
             entered_red=False,
             help_asked=False,
         )
-        info = self._info(replace(last, events=events, contacts=()), None, 0.0)
-        return EnvStepResult(
-            self._observation, 0.0, False, True, {**info, "reason": WORLD_RESTARTED}
-        )
+        info = self._info(replace(last, events=events, contacts=()))
+        return EnvStepResult(self._observation, 0.0, False, True, {**info, WORLD_RESTARTED: True})
 
     def _require_ready(self) -> ClientSnapshot:
         """The current frame. Raises ProtocolError where no episode is on."""
@@ -222,40 +261,57 @@ class SeatEnvAdapter:
     def _info(
         self,
         snapshot: ClientSnapshot,
-        terms: RewardTerms | None,
-        distance: float,
-        sticks: tuple[Joystick, Joystick] | None = None,
+        terms: RewardTerms = _NO_REWARD,
+        distance: float = 0.0,
+        sticks: tuple[Joystick, Joystick] = (AT_REST, AT_REST),
     ) -> Info:
         """The info of an observation; `sticks` are the user's and the command that answered it."""
-        plant = snapshot.plant
-        events = snapshot.events
+        plant, events, truth = snapshot.plant, snapshot.events, snapshot.truth
+        user_stick, given = sticks
         user = (snapshot.user.x, snapshot.user.y)
-        user_stick, given = sticks or (None, None)
-        return {
-            "state": plant,
+        parts: dict[str, Any] = {
             "imu": snapshot.sensors.imu,
-            **{reading.name: reading.values for reading in snapshot.sensors.readings},
+            "event": events,
+            "reward": terms,
+            "truth": truth,
+        }
+        return {
+            # Flat, and without the names of an observation: tools put both into one dictionary.
+            **{
+                f"{kind}_{field.name}": value
+                for kind, part in parts.items()
+                if part is not None
+                for field in fields(part)
+                if isinstance(value := getattr(part, field.name), _NUMBERS)
+            },
+            **{f"reading_{reading.name}": reading.values for reading in snapshot.sensors.readings},
+            "state": plant.row,
             "user_action": np.array(user, np.float32)
             if self._any_stick
             else self._actions.nearest(user),
             "joystick_distance": distance,
-            "asked": user_stick,
-            "given": given,
-            "reward_terms": terms,
-            "rewards": {
-                name: getattr(terms, name) if terms else 0.0 for name in RewardTerms.__slots__
-            },
+            "asked": np.array([user_stick.x, user_stick.y]),
+            "given": np.array([given.x, given.y]),
             # An episode continues after a destination: its last step shows whether one was reached.
             "is_success": self._arrived and not events.crashed,
-            "truth": snapshot.truth,
-            "drawn": snapshot.drawn,
-            "warning": snapshot.truth.danger if snapshot.truth else None,
+            **({} if truth is None else {"warning": truth.danger}),
             "intervening": distance > self._config.reward.max_follow_distance + DISTANCE_TOLERANCE,
-            "events": events,
+            "event_crash_reason": get_args(CrashReason).index(events.crash_reason),
             "help": events.help_asked,
-            "contacts": snapshot.contacts,
+            "contacts": len(snapshot.contacts),
             "progress_m": events.progress_m,
             "speed_mps": float(np.hypot(plant.v_B_mps[0], plant.v_B_mps[1])),
+            WORLD_RESTARTED: False,
+            OBJECTS: InfoObjects(
+                state=plant,
+                events=events,
+                contacts=snapshot.contacts,
+                asked=user_stick,
+                given=given,
+                reward_terms=terms,
+                truth=truth,
+                drawn=snapshot.drawn,
+            ),
         }
 
     def _require_configured(self, first: ClientSnapshot) -> None:

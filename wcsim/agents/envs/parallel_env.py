@@ -4,27 +4,24 @@ Agents are "chair_0", "chair_1", ... An agent whose episode has ended leaves for
 the street, until the next `reset` makes a new world with all chairs. All act in every step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.agents.envs.env_spec import (
     ChairGroup,
     EnvOptions,
     draw_random_seed,
     make_env_settings,
-    validate_chair_count,
+    refuse_reset_options,
     validate_seed,
 )
 from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.core import seeding
 from wcsim.errors import ProtocolError, check_installed
-from wcsim.types import F32
+from wcsim.types import F32, F64, U8
 
 try:
     from pettingzoo import ParallelEnv
@@ -52,14 +49,13 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
             TypeError: There is no such option.
         """
         spec = make_env_settings(town, options, ("town", "chairs"))
-        self._chairs = ChairGroup(
-            spec, validate_chair_count(chairs), options.get("reward_terms", ())
-        )
+        self._chairs = ChairGroup(spec, chairs, options)
         self._seed = validate_seed(options.get("seed"))
         self._resets = 0  # since the seed was given, the first of them included
         self.config = spec.config
         self.render_mode = spec.render_mode
-        self.metadata = spec.metadata
+        self.metadata = {**spec.metadata, "is_parallelizable": True}
+        self.state_space = gymnasium.spaces.Box(-1e6, 1e6, (15 * chairs,), np.float64)
         self.possible_agents = [f"chair_{seat}" for seat in range(chairs)]
         self.agents: list[str] = []
         self._observation_spaces = {
@@ -81,10 +77,11 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
         """Begin with all agents in a new world; without a seed, with the next one of the last seed.
 
         Raises:
-            ConfigError: The seed is no integer from 0 on.
+            ConfigError: The seed is no integer from 0 on, or there are options.
             TownError: The town cannot be used.
         """
-        del options
+        # PettingZoo's own tests give the option "options".
+        refuse_reset_options(name for name in options or () if name != "options")
         seed = validate_seed(seed)
         if seed is not None:
             self._seed = seed
@@ -96,14 +93,11 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
             seed = self._seed
         else:
             seed = seeding.derive_seed(self._seed, "reset", self._resets)
-        firsts = self._chairs.begin(seed)
+        observations, infos = zip(*self._chairs.begin(seed), strict=True)
         self.agents = list(self.possible_agents)
-        observations = {
-            agent: observation for agent, (observation, _) in zip(self.agents, firsts, strict=True)
-        }
-        return observations, {
-            agent: info for agent, (_, info) in zip(self.agents, firsts, strict=True)
-        }
+        return dict(zip(self.agents, observations, strict=True)), dict(
+            zip(self.agents, infos, strict=True)
+        )
 
     def step(
         self, actions: Mapping[str, np.int64 | int | F32]
@@ -126,10 +120,10 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
             if isinstance(actions, Mapping):
                 received = sorted(map(str, actions))
             raise ProtocolError(f"actions of {received}; expected one of each of {self.agents}")
-        for agent, action in actions.items():
-            self._chairs.all[self.possible_agents.index(agent)].stick(action)
-        # 2. Step. The world waits for every action.
         seats = {agent: self.possible_agents.index(agent) for agent in self.agents}
+        for agent, seat in seats.items():
+            self._chairs.all[seat].stick(actions[agent])
+        # 2. Step. The world waits for every action.
         for agent, seat in seats.items():
             self._chairs.send(seat, actions[agent])
         steps = {agent: self._chairs.receive(seat) for agent, seat in seats.items()}
@@ -146,7 +140,17 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
             {agent: step.info for agent, step in steps.items()},
         )
 
-    def render(self) -> npt.NDArray[np.uint8] | None:
+    def state(self) -> F64:
+        """The true states of all chairs (15 N,), rows of `PlantState`; the last of who has left.
+
+        Raises ProtocolError before the first reset.
+        """
+        frames = [chair.now for chair in self._chairs.all if chair.now is not None]
+        if not frames:
+            raise ProtocolError("state() came before reset(); call reset() first")
+        return np.concatenate([frame.plant.row for frame in frames])
+
+    def render(self) -> U8 | None:
         """The picture (H, W, 3) uint8 of the first agent that is left, in mode "rgb_array"."""
         if self.render_mode != "rgb_array" or not self.agents:
             return None

@@ -1,10 +1,9 @@
 """Drives seats of a world in this process: agents choose actions, `AgentSeatDriver` acts."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 from wcsim.agents.envs.episode_view import (
+    OBJECTS,
     EnvStepResult,
     Info,
     SeatEnvAdapter,
@@ -91,7 +90,7 @@ class PolicyAgentAdapter:
             # Set first: a policy that fails to begin is not begun again.
             self._is_new = False
             self.policy.begin()
-        pass_delay(self.policy, info["drawn"])
+        pass_delay(self.policy, info[OBJECTS].drawn)
         self.policy.reset()
 
     def act(self, observation: Observation, info: Info) -> int:
@@ -117,4 +116,4 @@ class PolicyAgentAdapter:
 
     def _show(self, info: Info) -> None:
         if isinstance(self.policy, SeesTruth):
-            self.policy.see(info["truth"])
+            self.policy.see(info[OBJECTS].truth)

@@ -6,8 +6,6 @@ SB3 expects: the observation is the first one of the next episode, `info["termin
 the last one of the episode before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Unpack
 
@@ -18,14 +16,16 @@ import numpy.typing as npt
 from wcsim.agents.envs.env_spec import (
     ChairGroup,
     EnvOptions,
+    draw_random_seed,
     make_env_settings,
+    refuse_reset_options,
     stack_observations,
-    validate_chair_count,
     validate_seed,
 )
 from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.errors import ConfigError, ProtocolError, check_installed
 from wcsim.server.links.base import LinkWaitTimes
+from wcsim.types import U8
 
 try:
     from stable_baselines3.common.vec_env.base_vec_env import (
@@ -45,39 +45,54 @@ class StreetVecEnv(VecEnv):
     """Several wheelchairs in one town, for Stable-Baselines3."""
 
     def __init__(
-        self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]
+        self,
+        town: str = "helsinki",
+        *,
+        chairs: int = 2,
+        repeat: bool = False,
+        **options: Unpack[EnvOptions],
     ) -> None:
         """Describe the environment; the first reset makes the world.
 
-        Arguments as in `StreetParallelEnv`.
+        Args:
+            town: A town's name or folder.
+            chairs: How many agents.
+            repeat: Whether every reset makes the first world again, as evaluations need it.
+            **options: As in `StreetParallelEnv`.
 
         Raises:
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        spec = make_env_settings(town, options, ("town", "chairs"))
-        self._chairs = ChairGroup(
-            spec, validate_chair_count(chairs), options.get("reward_terms", ())
-        )
+        spec = make_env_settings(town, options, ("town", "chairs", "repeat"))
+        self._chairs = ChairGroup(spec, chairs, options)
         self._first_seed = validate_seed(options.get("seed"))
+        self._repeat = repeat
         self._waiting = False  # for the result of a step
         self.config = spec.config
         self.render_mode = spec.render_mode
         super().__init__(chairs, spec.observation_space(), spec.action_space())
+        if repeat:
+            self.seed(draw_random_seed() if self._first_seed is None else self._first_seed)
         # SB3 makes metadata without it.
         self.metadata = {**self.metadata, "render_fps": spec.metadata["render_fps"]}
 
     def reset(self) -> VecEnvObs:
-        """Begin an episode in every chair: after `seed`, and for the first time, in a new world."""
+        """Begin an episode in every chair: after `seed`, and for the first time, in a new world.
+
+        Raises ConfigError where `set_options` has set some.
+        """
         # A step under way must end first.
         if self._waiting:
             self.step_wait()
+        refuse_reset_options(self._options[0])
         seed = self._seeds[0]
         if seed is None:
             firsts = self._chairs.begin_next(self._first_seed)
         else:
             firsts = self._chairs.begin(seed)
-        self._reset_seeds()
+        if not self._repeat:
+            self._reset_seeds()
         self._reset_options()
         self.reset_infos = [info for _, info in firsts]
         return stack_observations([observation for observation, _ in firsts])
@@ -119,7 +134,7 @@ class StreetVecEnv(VecEnv):
             infos,
         )
 
-    def get_images(self) -> list[npt.NDArray[np.uint8] | None]:
+    def get_images(self) -> list[U8 | None]:
         """Every chair's picture (H, W, 3) uint8, in render mode "rgb_array"."""
         return [chair.picture for chair in self._chairs.all]
 

@@ -5,8 +5,6 @@ the last one, so both frames are there in the same step. With NEXT_STEP such a c
 still for a tick in which the others drive.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, Unpack
 
@@ -16,21 +14,25 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from wcsim.agents.envs.env_spec import (
+    TASK,
+    TASK_DESCRIPTION,
     ChairGroup,
     EnvOptions,
     make_env_settings,
+    refuse_reset_options,
     stack_observations,
-    validate_chair_count,
     validate_seed,
 )
 from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.config import resolve
-from wcsim.errors import ConfigError
 from wcsim.types import F64, Bool
 
 
 class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
     """Several wheelchairs in one town, for Gymnasium."""
+
+    task = TASK
+    task_description = TASK_DESCRIPTION
 
     def __init__(
         self,
@@ -57,11 +59,13 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
         spec = make_env_settings(town, options, ("town", "num_envs", "max_episode_steps"))
         if max_episode_steps not in (None, -1) and max_episode_steps < spec.config.env.max_steps:
             spec = replace(spec, config=resolve(spec.config, f"env.max_steps={max_episode_steps}"))
-        self.num_envs = validate_chair_count(num_envs)
+        self.num_envs = num_envs
         self.config = spec.config
         self.render_mode = spec.render_mode
-        self.metadata = {**spec.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
-        self._chairs = ChairGroup(spec, num_envs, options.get("reward_terms", ()))
+        self.autoreset_mode = AutoresetMode.SAME_STEP
+        self.metadata = {**spec.metadata, "autoreset_mode": self.autoreset_mode}
+        self._max_episode_steps = spec.config.env.max_steps
+        self._chairs = ChairGroup(spec, num_envs, options)
         self._first_seed = validate_seed(options.get("seed"))
         self.single_observation_space = spec.observation_space()
         self.single_action_space = spec.action_space()
@@ -74,14 +78,12 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
         """Begin an episode in every chair: with a seed, and for the first time, in a new world.
 
         Raises:
-            ConfigError: The seed is no integer from 0 on; a list is none, as chairs share a world.
+            ConfigError: The seed is no integer from 0 on, as a list is none; or there are options,
+                as a reset_mask: chairs share a world, and begin their episodes by themselves.
             TownError: The town cannot be used.
         """
+        refuse_reset_options(options or ())
         seed = validate_seed(seed)
-        if "reset_mask" in (options or {}):
-            raise ConfigError(
-                "options has a reset_mask; expected none: chairs begin their episodes by themselves"
-            )
         super().reset(seed=seed)
         # Otherwise the next close() would leave the world open.
         self.closed = False

@@ -9,8 +9,6 @@ With `join` the environment makes no world: it takes its seat in a running one, 
 share.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -19,15 +17,17 @@ from typing import Any, Final, Unpack
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.agents.envs.env_spec import (
     RENDER_FPS,
     RENDER_MODES,
     SEED_LIMIT,
+    TASK,
+    TASK_DESCRIPTION,
     EnvOptions,
     draw_random_seed,
     make_env_settings,
+    refuse_reset_options,
     validate_seed,
 )
 from wcsim.agents.envs.episode_view import EnvObservation, SeatEnvAdapter
@@ -35,7 +35,7 @@ from wcsim.core import seeding
 from wcsim.errors import EvictedError, ProtocolError, ReplayMismatchError, WorldRestartedError
 from wcsim.server.links.base import LinkWaitTimes, SeatLink, SeatLinkGroup, open_seat_links
 from wcsim.server.specs import SeatRequest, WorldBuildSpec
-from wcsim.types import F32, ClientSnapshot
+from wcsim.types import F32, U8, ClientSnapshot
 
 MOST_REPEATED: Final = 100_000  # steps that a copy repeats; they take 10 minutes or more
 
@@ -48,6 +48,8 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
+    task = TASK
+    task_description = TASK_DESCRIPTION
 
     def __init__(
         self,
@@ -96,6 +98,7 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         self._chair = SeatEnvAdapter(self._spec.config, terms)
         self.town = town
         self.config = self._spec.config
+        self._max_episode_steps = self.config.env.max_steps  # as Gymnasium's TimeLimit has it
         self.render_mode = self._spec.render_mode
         # Gymnasium types the space of a dictionary as a dictionary of spaces, which a Dict is not.
         self.observation_space = self._spec.observation_space()  # type: ignore[assignment]
@@ -111,11 +114,12 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         only the master may.
 
         Raises:
-            ConfigError: The seed is no integer from 0 on.
+            ConfigError: The seed is no integer from 0 on, or there are options.
             TownError: The town cannot be used.
             NotMasterError: Others share the world, and this client is not its master.
             LinkError: See `wcsim.errors` for what else a client can see.
         """
+        refuse_reset_options(options or ())
         seed = validate_seed(seed)
         super().reset(seed=seed)
         return self._chair.begin(self._first_frame(seed))
@@ -126,7 +130,7 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         """Drive for one tick; terminated by a crash only, truncated after `env.max_steps`.
 
         Truncated also by the restart of a shared world: then with the last observation again,
-        reward 0 and `info["reason"] == "world_restarted"`; the next reset returns the first frame
+        reward 0 and a true `info["world_restarted"]`; the next reset returns the first frame
         of the new epoch.
 
         Raises:
@@ -154,7 +158,7 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
             self.close()
             raise
 
-    def render(self) -> npt.NDArray[np.uint8] | None:
+    def render(self) -> U8 | None:
         """The camera's picture (H, W, 3) uint8, in render mode "rgb_array".
 
         A joined world must draw colours.

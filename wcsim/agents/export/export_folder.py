@@ -1,7 +1,5 @@
 """What the folder of an exported policy holds; which recordings and folders an export refuses."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from collections.abc import Iterable

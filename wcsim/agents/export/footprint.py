@@ -6,8 +6,6 @@ stopping and continuing the process (SIGSTOP, SIGCONT), as machines without cont
 quota; an answer takes as long either way.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

@@ -6,8 +6,6 @@ it chooses another stick than was sent. On a real chair frames are also late or 
 `examples/exported_policy.py` has the whole guard, in NumPy.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Exports a trained policy for programs without wcsim: an ONNX model, its meaning, and examples."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

@@ -8,8 +8,6 @@ in it, so there are as few as possible. `ValuePolicyGraph` calls the network its
 when `_NetPolicy` warns.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From a run's configuration to a learner."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

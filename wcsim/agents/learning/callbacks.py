@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
-from wcsim.agents.envs.episode_view import WORLD_RESTARTED
+from wcsim.agents.envs.episode_view import OBJECTS, WORLD_RESTARTED
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.agents.runs.metrics import (
@@ -78,7 +78,7 @@ class EventReportCallback(SeqDqnCallback):
 
     def _on_step(self) -> bool:
         step = self.num_timesteps
-        by_seat = [info.get("events") for info in self.locals["infos"]]
+        by_seat = [_events(info) for info in self.locals["infos"]]
         events: list[Events] = [each for each in by_seat if each is not None]
         if jammed := max((each.jam_teleports for each in events), default=0):
             self._report("jam", step=step, teleported=jammed)
@@ -161,7 +161,7 @@ class EpisodeMetricsCallback(SeqDqnCallback):
         # 3. What the step brought, and the rows of episodes that ended with it.
         for seat, info in enumerate(self.locals["infos"]):
             # A world that was restarted ends an episode in a step that was not driven.
-            if info.get("reason") != WORLD_RESTARTED:
+            if not info.get(WORLD_RESTARTED):
                 self._by_seat[seat].add(float(self.locals["rewards"][seat]), info)
             if self.locals["dones"][seat]:
                 self._write_episode_row(seat, info)
@@ -309,7 +309,7 @@ class _EpisodeSums:
         self.reward += reward
         self.discounted.add(reward)
         self.progress_m += float(info.get("progress_m", 0.0))
-        events = info.get("events")
+        events = _events(info)
         happened = {"arrivals"} if events is not None and events.arrived else set()
         distance = float(info.get("joystick_distance", 0.0))
         self.kpis = self.kpis.plus(happened, distance, float(info.get("speed_mps", 0.0)))
@@ -319,7 +319,7 @@ class _EpisodeSums:
 
         `cut` is 1 where its world ended it.
         """
-        events, kpis = info.get("events"), self.kpis
+        events, kpis = _events(info), self.kpis
         return {
             "return": self.reward,
             "length": kpis.ticks,
@@ -330,5 +330,10 @@ class _EpisodeSums:
             "speed_mps": kpis.speed_sum / kpis.ticks,
             "progress_m": self.progress_m,
             "arrivals": kpis.arrivals,
-            "cut": int(info.get("reason") == WORLD_RESTARTED),
+            "cut": int(info.get(WORLD_RESTARTED, False)),
         }
+
+
+def _events(info: dict[str, Any]) -> Events | None:
+    """The events of a step; None of an environment that has none."""
+    return getattr(info.get(OBJECTS), "events", None)

@@ -6,8 +6,6 @@ resumed run starts a new episode and with it a new exploration offset. All else 
 holds is restored exactly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final

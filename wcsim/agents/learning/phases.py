@@ -1,7 +1,5 @@
 """The two phases of learning, Action Driven and then Agent Driven, as functions of the step."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

@@ -10,13 +10,10 @@ in a row (see `agents/learning/replay/groups.py`); any other one learns from ste
 each with its window.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Final
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
@@ -36,7 +33,7 @@ from wcsim.core import seeding
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import count_imu_values
-from wcsim.types import F32, F64
+from wcsim.types import F32, F64, I64, Bool
 
 Tensors = dict[str, torch.Tensor]
 Signs = tuple[tuple[str, tuple[float, ...]], ...]  # of each number of each further sensor, by name
@@ -104,9 +101,9 @@ class SeqDQN(DQN):
         self.mirror_signs = mirror_signs
         self.plan = PhasePlan(self.settings)
         self.rng = seeding.make_rng(0 if seed is None else seed, "agent", "explore")
-        self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
+        self._offsets: F64 = np.zeros((0, 2))  # (N, 2) explored by each seat
         # (N,) steps for which they are still held
-        self._held: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        self._held: I64 = np.zeros(0, dtype=np.int64)
         # What the network carries from step to step, of every seat: before the next step (None
         # where all episodes start) and after it.
         self._carried: States | None = None
@@ -160,7 +157,7 @@ class SeqDQN(DQN):
         explored = np.where(explores, drawn, actions)
         return (explored if np.ndim(actions) else explored[0]), state
 
-    def _draw_explorers(self, seats: int) -> npt.NDArray[np.bool_]:
+    def _draw_explorers(self, seats: int) -> Bool:
         """Draw which seats explore now, (N,), and the offsets of those that start to.
 
         An exploration lasts `epsilon_hold` steps, so it starts that much more rarely.
@@ -174,7 +171,7 @@ class SeqDQN(DQN):
         drawn = self.rng.normal(0.0, EXPLORED_SIGMA, (seats, 2))
         self._offsets = np.where(starts[:, None], drawn, self._offsets)
         self._held = np.where(starts, hold, self._held)
-        explores: npt.NDArray[np.bool_] = self._held > 0
+        explores: Bool = self._held > 0
         self._held = np.maximum(self._held - 1, 0)
         return explores
 
@@ -204,17 +201,7 @@ class SeqDQN(DQN):
         return self.policy.predict(observation, deterministic=True)[0]
 
     def _store_transition(self, replay_buffer: ReplayBuffer, *step: Any) -> None:
-        """Store a step and the state before it; seats whose episode ended lose their state.
-
-        Raises PolicyError for a reward that is not finite: it would spoil every batch with it.
-        """
-        rewards = np.asarray(step[2])
-        if not np.isfinite(rewards).all():
-            raise PolicyError(
-                f"the reward of step {self.num_timesteps} was {rewards[~np.isfinite(rewards)][0]}; "
-                "expected a finite number: correct your own reward term (--reward), then wcsim "
-                "resume RUN"
-            )
+        """Store a step and the state before it; seats whose episode ended lose their state."""
         groups = self.replay_buffer.groups
         if groups is not None and self._carried is not None:
             groups.next_states = self._carried[0]

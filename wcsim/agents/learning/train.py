@@ -6,8 +6,6 @@ both. All that a run saves and reports on the way is done between two rollouts, 
 stored and no update is half-done.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time

@@ -14,8 +14,6 @@ The names of layers stand in saved policies, and the order in which they are mad
 random numbers each gets.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar, Final
 
 import torch

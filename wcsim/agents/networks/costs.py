@@ -1,7 +1,5 @@
 """What a network costs: parameters, multiplications, memory, time of a decision on one core."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

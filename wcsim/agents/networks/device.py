@@ -1,7 +1,5 @@
 """On what a network is learned, and how PyTorch works meanwhile."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

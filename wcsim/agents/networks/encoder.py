@@ -1,7 +1,5 @@
 """From an observation to features: class ids become planes, which a registered network reads."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final, Literal
 

@@ -3,8 +3,6 @@
 `agents/networks/registry.py` has the classes.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from typing import Final

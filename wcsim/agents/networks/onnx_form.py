@@ -1,7 +1,5 @@
 """Networks in ONNX's form: https://onnx.ai; the extra `train` brings what is needed."""
 
-from __future__ import annotations
-
 import io
 import warnings
 from collections.abc import Sequence

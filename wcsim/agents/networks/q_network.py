@@ -1,7 +1,5 @@
 """The action-value network (encoder, head, known follow reward) and its policy object for SB3."""
 
-from __future__ import annotations
-
 from typing import Any, Final, cast
 
 import numpy.typing as npt

@@ -25,8 +25,6 @@ A windowed class that can also carry a state from tick to tick has `state_size` 
 `learn.memory=groups` uses it, with one image in an observation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

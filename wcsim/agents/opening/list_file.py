@@ -1,7 +1,5 @@
 """Lists of episodes: read, checked and hashed; the street of a block, and its seats."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 Policies that warn share it, so that tables compare what they detect, not how often they waver.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

@@ -5,8 +5,6 @@ acceleration. An obstacle (5,) is its place in B of now, its velocity over the g
 distance to keep from it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

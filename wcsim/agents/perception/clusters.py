@@ -1,7 +1,5 @@
 """Movers in a picture: pixels of people, riders and vehicles, grouped by place on the ground."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -1,7 +1,5 @@
 """A camera's depth image in metres, and the directions of its pixels."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

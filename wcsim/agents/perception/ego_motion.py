@@ -4,8 +4,6 @@ Its place is in the odometric frame O, which starts at the chair's first place i
 ahead, y left. It drifts as the senses do.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Final

@@ -10,8 +10,6 @@ chair has left it, or when it has driven so far since that its place is no longe
 seen once, and people who can walk off, stay for seconds.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Final

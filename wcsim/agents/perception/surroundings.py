@@ -4,8 +4,6 @@ Walls and kerbs continue: a straight edge that is seen ahead is extended beside 
 camera does not look.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, TypeVar
 

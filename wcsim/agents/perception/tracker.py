@@ -1,7 +1,5 @@
 """How movers move: clusters of successive ticks, paired by distance; an alpha-beta filter in O."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

@@ -1,7 +1,5 @@
 """Policies that learn nothing, to compare networks with: follow, random, zero, stop, oracles."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Final

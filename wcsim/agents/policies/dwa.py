@@ -11,8 +11,6 @@ The wrapper forbids what it could not brake in time. Networks and `dwa` miss dif
 together they crash less, and intervene more often.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Final

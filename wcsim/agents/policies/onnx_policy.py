@@ -8,8 +8,6 @@ the last output `next_state_X`. An output `warning` above 0.5 warns the user. ON
 A model is bounded: in bytes, in the memory of its arrays, and in the time to load and of each step.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait

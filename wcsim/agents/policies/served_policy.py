@@ -15,8 +15,6 @@ Arrays are those of an observation, C-ordered and little endian; `warning` may b
 example: `examples/served_policy.py`.
 """
 
-from __future__ import annotations
-
 import json
 import socket
 import time

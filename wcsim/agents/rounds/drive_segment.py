@@ -8,8 +8,6 @@ teach (`danger.teacher`), no oracle is asked, and nobody but users and networks 
 before a kerb, below or above it, or where none belongs, and is pushed ahead: users seldom come there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -19,7 +17,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Info, find_episode_delay_ticks
+from wcsim.agents.envs.episode_view import OBJECTS, Info, find_episode_delay_ticks
 from wcsim.agents.envs.seat_driver import AgentSeatDriver
 from wcsim.agents.policy_api import (
     CLASS_KEY,
@@ -374,19 +372,19 @@ class _Seat:
 
     def reset(self, info: Info) -> None:
         """Draw who drives the episode that begins."""
-        self._delay = find_episode_delay_ticks(self._config, info["drawn"])
+        self._delay = find_episode_delay_ticks(self._config, info[OBJECTS].drawn)
         learned = None if self._make is None else self._make(self._delay)
         self._agent = _DataDriver(self._config.collect, self._actions, self._rng, learned, self._pushed)
 
     def act(self, observation: Observation, info: Info) -> int:
         """Answer what is seen now."""
-        said: Truth | None = info["truth"]
+        said: Truth | None = info[OBJECTS].truth
         self._choice = self._agent.choose(observation, said and (said.visible or said))
         return int(self._choice["action"])
 
     def take(self, client: ClientSnapshot) -> None:
         """Write down what came of it."""
-        seen, said = self.driver.observation, self.driver.info["truth"]
+        seen, said = self.driver.observation, self.driver.info[OBJECTS].truth
         step = self.driver.finish_step(client)
         own = judge_crash_fault(client.events.crash_reason, client.contacts, self._config.reward) == "own"
         self.rows.append(

@@ -1,7 +1,5 @@
 """One drive as observations, for policies to be compared on: a short new one, or a recorded one made again."""
 
-from __future__ import annotations
-
 import math
 from contextlib import closing
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ rounds before n. What a segment is depends on its key alone, so data and weights
 nor on what died on the way.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -46,7 +44,7 @@ from wcsim.agents.runs.data_folder import (
     sort_segment_names,
     write_data_manifest,
 )
-from wcsim.agents.runs.metrics import append_round_metrics
+from wcsim.agents.runs.metrics import append_round_metrics, require_tensorboard_installed
 from wcsim.agents.runs.run_folder import (
     METRICS,
     ResolvedRun,
@@ -197,7 +195,7 @@ def _train_rounds(
             _save(folder, learner, format_checkpoint_name("round", number))
             row = (number, len(dataset), len(dataset) - before, dataset.tight_share, crashes, *driven.tolist())
             spent = (waited_s, time.monotonic() - began_s - waited_s)
-            append_round_metrics(folder.path / METRICS, (*row, learner.updates, loss, *spent))
+            append_round_metrics(folder.path / METRICS, (*row, learner.updates, loss, *spent), config.learn.tensorboard)
             _save_round(folder.checkpoints, number, learner, segments)  # the last: with it the round counts as done
             progress(replace(now, updates=learner.updates, loss=loss))
     hashes = {town.name: streets_hash(town) for town in map(find_town, towns)}
@@ -322,6 +320,8 @@ def train_danger(
     """
     _require_driving(run.config)
     require_recordable(run.config)
+    if run.config.learn.tensorboard:
+        require_tensorboard_installed()
     folder = open_or_create_run(run, resolve_data_folders)
     with files.lock_run_folder(folder.path), temporary_torch_settings(folder.config.learn):
         towns = towns_of(town, folder.manifest.more_towns, folder.config, folder.path, folder.manifest.seed, stage)

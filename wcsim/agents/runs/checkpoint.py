@@ -5,8 +5,6 @@ shared, as a hard link, with the newest checkpoint that has them. A learner resu
 one that is sound and fits it: one that is damaged in any place is skipped for the one before it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

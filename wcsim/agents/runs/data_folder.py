@@ -5,8 +5,6 @@ A segment is a world of its own with several chairs, one piece of work and one f
 in one step under the name of its key: a file that exists is whole, and is never written again.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import re

@@ -3,8 +3,6 @@
 Episodes go to TensorBoard too, where it is installed and requested (`learn.tensorboard`).
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math
@@ -44,7 +42,7 @@ TENSORBOARD: Final = "tensorboard"
 
 _STEP: Final = re.compile(r"[0-9]{1,15}", re.ASCII)
 _TRAINS: Final = frozenset({"epsilon", "margin_weight", "loss", "max_abs_q", "updates"})
-_LEFT_OUT: Final = frozenset({"step", "episode"})
+_LEFT_OUT: Final = frozenset({"step", "episode", "round"})
 Value = float | int | str | None
 
 
@@ -133,16 +131,18 @@ def _line(values: Iterable[object]) -> str:
     return out.getvalue()
 
 
-def append_round_metrics(path: Path, row: Sequence[float]) -> None:
-    """Add a row to metrics.csv; rows from its round on belong to work that was lost.
+def append_round_metrics(path: Path, row: Sequence[float], tensorboard: bool = False) -> None:
+    """Add a row to metrics.csv, and to TensorBoard; rows from its round on are of lost work.
 
     Raises:
         DiskFullError: There is no room.
         PolicyError: The file is damaged, or of another version.
     """
-    MetricsFile(path, int(row[0]) - 1, _ROUND_COLUMNS).add(
-        dict(zip(_ROUND_COLUMNS, row, strict=True))
-    )
+    named = dict(zip(_ROUND_COLUMNS, row, strict=True))
+    MetricsFile(path, int(row[0]) - 1, _ROUND_COLUMNS).add(named)
+    if tensorboard:
+        with TensorBoardLog(path.parent, int(row[0]) - 1) as board:
+            board.add(named)
 
 
 def has_metrics_per_round(path: Path) -> bool:
@@ -170,7 +170,10 @@ def read_round_metrics(path: Path) -> tuple[RoundMetricsRow, ...]:
 
 
 class TensorBoardLog(ClosingContextBase):
-    """Writes the numbers of a row as scalars, `episode/NAME` or `train/NAME`, at the row's step."""
+    """Writes the numbers of a row as scalars, `train/NAME`, `episode/NAME` or `round/NAME`.
+
+    They stand at the row's step or round.
+    """
 
     def __init__(self, run: Path, last_step: int | None = None) -> None:
         """Start in a run folder, or continue: what is after `last_step` belongs to lost work.
@@ -183,11 +186,12 @@ class TensorBoardLog(ClosingContextBase):
 
     def add(self, row: Mapping[str, Value]) -> None:
         """Write a row of metrics.csv; what is no number is left out."""
-        step = int(row["step"] or 0)
+        first = next(iter(row))
+        kind, step = first.replace("step", "episode"), int(row[first] or 0)
         for name, value in row.items():
             if isinstance(value, int | float) and name not in _LEFT_OUT:
                 self._writer.add_scalar(
-                    f"{'train' if name in _TRAINS else 'episode'}/{name}", value, step
+                    f"{'train' if name in _TRAINS else kind}/{name}", value, step
                 )
         self._writer.flush()
 

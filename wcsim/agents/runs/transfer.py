@@ -6,8 +6,6 @@ made here gets a mark with a key that only this user's machine has. Where the ma
 command line.
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import json

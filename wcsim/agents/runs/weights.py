@@ -1,7 +1,5 @@
 """Policy folders with their weights: written, and read from any source, checked before loading."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 from collections.abc import Callable, Iterable, Mapping

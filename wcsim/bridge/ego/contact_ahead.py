@@ -5,8 +5,6 @@ small; a car of 8 m/s sinks 7 cm into a chair instead of 5. Everywhere else on a
 ones (docs/chair.md).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final

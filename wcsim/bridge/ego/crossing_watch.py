@@ -5,8 +5,6 @@ some time asks for green. Whoever drives the chair, the person in it can press: 
 and where its route goes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Which of the others a wheelchair's cameras have shown lately: what may be known to who sees nothing else.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 The blocks of rows are in `supervisor/observation.py`, their meaning in docs/faces.md. All is in the frame B.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

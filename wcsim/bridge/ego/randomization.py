@@ -3,8 +3,6 @@
 So a seat's draws do not change when another range is added, and every seat has others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Where an episode may begin: a place that is clear of everything, in reach of a pavement."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -4,8 +4,6 @@ A thing is what hangs together (a pole, a bench, the end of a wall). It keeps it
 much of it lies near the way at a time, so that the user notices it once or not at all.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 
 import numpy as np

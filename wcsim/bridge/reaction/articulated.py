@@ -5,8 +5,6 @@ chord cuts a corner: a tram of 26 m in a curve of 20 m radius would sweep 4 m ov
 joint lies on the way that the front has taken, so that each piece is a chord of its own, at most 10 m long on rails.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What the street knows of a wheelchair, and what it tells its actors to do about it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

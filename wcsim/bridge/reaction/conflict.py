@@ -1,7 +1,5 @@
 """One driver who looks at one wheelchair: does the way ahead touch it, where is room, how fast may it be driven."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Who is near a wheelchair, and what drives beside them: the plain numbers that the deflection reckons with."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -11,8 +11,6 @@ because placing a proxy with `moveToXY` kills libsumo on real nets. Drivers see 
 reaction time are those towards each chair.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace

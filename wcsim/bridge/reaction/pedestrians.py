@@ -6,8 +6,6 @@ passed. Who cannot pass stops short. SUMO does not know of those who stepped asi
 clear of them here: who is nearer to the chair goes first, the others make room.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

@@ -9,8 +9,6 @@ SUMO itself gets no order. Front and rear follow the moved line, so that the bod
 own heading; the mirror, the cameras, the oracle and the reaction all see it there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Floating car data has net coordinates, front bumpers, headings in degrees clockw
 `--fcd-output`. People are where the bridge showed them to the wheelchair, stepped aside where they did.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import closing

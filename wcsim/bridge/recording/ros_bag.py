@@ -3,8 +3,6 @@
 Frames are those of REP 103 and REP 105: metres, seconds, radians; x forward, y left, z up; `map`, `odom`, `base_link`.
 """
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ B (below the middle of the drive axle; x forward, y left, z up), `map` its frame
 the truth, so `odom` stays on `map`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Does to a world what its log says was done, record by record; and what such a world with seats must offer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Generic, Protocol, TypeVar
 

@@ -4,8 +4,6 @@ The world asks its seat's user about the way, whoever drives. So a person's driv
 user beside: another one would arrive elsewhere, and press other buttons.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import tempfile

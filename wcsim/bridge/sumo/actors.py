@@ -6,8 +6,6 @@ session hands libsumo in: `bridge/sumo/session.py` stays the only file that load
 SUMO's vehicle classes as our kinds and looks; a class or a size that nobody thought of is no error.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ In a process that may die.
 It says WORD when it has run them once; then it begins anew.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 A world and those who order one both know `RunPlace`, so nothing here loads a simulator.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """Where the outputs of a world go: what a world and those who order one both know, without a simulator."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

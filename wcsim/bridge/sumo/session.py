@@ -7,8 +7,6 @@ not). Nothing but `ActorState` and `SignalState` leaves this file.
 `open_session` starts it with the scenario of a town, staged and tried out; `warm_up` lets the traffic run alone.
 """
 
-from __future__ import annotations
-
 import locale
 import logging
 import math

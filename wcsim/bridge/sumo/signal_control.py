@@ -7,8 +7,6 @@ what follows is one of the phases that the program itself allows next, and each 
 The session hands libsumo in: `bridge/sumo/session.py` stays the only file that loads it.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import deque
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ is named `module:Class` on the user's own command line, and nowhere else: a town
 bring code along.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import ModuleType

@@ -3,8 +3,6 @@
 The session hands libsumo in: `bridge/sumo/session.py` stays the only file that loads it.
 """
 
-from __future__ import annotations
-
 import logging
 from typing import Any
 

@@ -303,9 +303,11 @@ def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
             "or choose another folder"
         )
     suite, console = order.suite, stderr_console()
-    each = "of all together" if order.together else "a policy"
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
-    console.print(f"{listed}: {pluralize(suite.episodes, 'episode')} {each}")
+    console.print(
+        f"{listed}: {pluralize(suite.episodes, 'episode')} "
+        f"{'all' if order.together else 'a policy'}"
+    )
     for line in describe_rule_differences(
         options.policies, order.preset, (*suite.file.settings, *order.settings)
     ):

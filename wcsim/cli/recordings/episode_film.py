@@ -1,13 +1,11 @@
 """A block of a suite as a film: its policy drives it again, and shows its unsafe actions."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.envs.episode_view import EnvStepResult
+from wcsim.agents.envs.episode_view import OBJECTS, EnvStepResult
 from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.playback import require_same
 from wcsim.agents.evaluation.suite.result_files import TestResult, read_result
@@ -123,8 +121,8 @@ class _BlockWatch:
             # Before a chair leaves: one whose episode ends was in the street at the tick's end.
             self._maker.look(world)
             self._now = world.snapshot
-        alone = step.info["events"].step <= self._piece.block.episodes[seat].handover_step
-        user, given = step.info["asked"], step.info["given"]
+        alone = step.info[OBJECTS].events.step <= self._piece.block.episodes[seat].handover_step
+        user, given = step.info[OBJECTS].asked, step.info[OBJECTS].given
         unsafe: list[int] | None = None
         if isinstance(policy, TellsUnsafe):
             unsafe = [] if alone else policy.unsafe.nonzero()[0].tolist()

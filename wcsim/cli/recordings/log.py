@@ -1,7 +1,5 @@
 """`wcsim log play | verify | compare | convert`: commands for recordings of all kinds."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time

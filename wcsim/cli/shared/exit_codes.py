@@ -1,7 +1,5 @@
 """How commands end: the one table of exit codes, and which error ends with which."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 from wcsim import errors

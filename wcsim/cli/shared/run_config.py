@@ -1,7 +1,5 @@
 """How commands make a run's configuration, and check the policies and users that they name."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Collection, Sequence
 from dataclasses import replace

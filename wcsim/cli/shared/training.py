@@ -80,6 +80,8 @@ class TrainingOptions(SettingsOptions, OutputOptions):
     """Random seed: equal seeds give equal weights."""
     out: OutFolder = None
     """Run folder; default runs/TOWN-PRESET-SEED."""
+    tensorboard: bool = False
+    """Also log scalars for TensorBoard in the run folder, as --set learn.tensorboard=true."""
     allow_test_town: bool = False
     """Allow training in a test town."""
 
@@ -102,8 +104,6 @@ class NewQTrainingOptions(QLearningBaseOptions, TrainingOptions):
 
     hook: str = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""  # noqa: E501 - help text
-    tensorboard: bool = False
-    """Also log scalars for TensorBoard in the run folder, as --set learn.tensorboard=true."""
 
     def info(self, command: tuple[str, ...]) -> RunInfo:
         """What is known of a run before its town is."""

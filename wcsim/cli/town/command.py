@@ -1,7 +1,5 @@
 """`wcsim town import | make | list | check | pave | run`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from rich.table import Column

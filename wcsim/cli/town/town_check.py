@@ -111,10 +111,11 @@ def _traffic_notes(town: Town) -> Iterator[str]:
     if hits:
         vehicles = join_names(hits.values(), _MOST_NAMED)
         yield (
-            f"SUMO itself reports {pluralize(len(hits), 'collision')} in the first {COLLIDING_S:g} s "
-            f"of this traffic: {vehicles}; its junction rules permit that, mostly for bicycles, "
-            "and the vehicles pass through each other; half the traffic collides about half as "
-            f"often: {Cures(town).traffic_alone()} --set world.demand_scale=0.5"
+            f"SUMO itself reports {pluralize(len(hits), 'collision')} in the first "
+            f"{COLLIDING_S:g} s of this traffic: {vehicles}; its junction rules permit that, "
+            "mostly for bicycles, and the vehicles pass through each other; half the traffic "
+            "collides about half as often: "
+            f"{Cures(town).traffic_alone()} --set world.demand_scale=0.5"
         )
 
 

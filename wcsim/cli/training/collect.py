@@ -1,7 +1,5 @@
 """`wcsim collect`: drive, and record observations, actions, and which actions would end badly."""
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`wcsim join`: one client by hand, in a world that somebody serves."""
 
-from __future__ import annotations
-
 import re
 import secrets
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """`wcsim resume RUN`: a training continues from its newest checkpoint, as its run folder states."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from collections.abc import Sequence

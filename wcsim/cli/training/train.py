@@ -1,7 +1,5 @@
 """`wcsim train`: train a danger network, in rounds; `wcsim train-q`: train one by Q-learning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -58,7 +56,8 @@ def run(words: list[str]) -> int:
     options = parse_options(_RoundsOptions, words, "train")
     machines = workers_from_options(options.cluster, options.worlds, "--worlds")
     data = {"collect": {"data": list(options.data)}} if options.data else None
-    config = resolve(options.preset, options.config, options.set, data)
+    board = {"learn": {"tensorboard": True}} if options.tensorboard else None
+    config = resolve(options.preset, options.config, options.set, data, board)
     require_matching_learner(config, DANGER_ROUNDS)
     refuse_held_out_users(config, (options.set, options.config))
     info = RunInfo(seed=options.seed, command=("wcsim", "train", *words))

@@ -1,7 +1,5 @@
 """`wcsim train-clients A,B,...`: several networks learn at once in one world, in a process each."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

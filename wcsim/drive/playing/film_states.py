@@ -4,8 +4,6 @@ A source says what it is (`FilmAbout`), then a `FilmFrame` a tick, and lines in 
 same from tick to tick is said again each time: packed together it takes next to nothing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 

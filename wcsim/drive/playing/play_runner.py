@@ -1,7 +1,5 @@
 """The process that plays a film: it takes what the source says, does to `_Player` what the page wants, and tells it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 An hour of a chair in Helsinki takes some 10 MB (docs/watching.md).
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping, Set

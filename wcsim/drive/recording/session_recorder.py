@@ -1,7 +1,5 @@
 """Records a drive: each tick goes into a file from which the same drive is made again (docs/recordings.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 A block's figures are a row of the study's table.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import shlex

@@ -1,7 +1,5 @@
 """A study for one participant: the order of its blocks, the table of its results, and what the page shows."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import fcntl

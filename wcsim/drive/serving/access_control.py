@@ -1,7 +1,5 @@
 """Access control: checks of a request's host, origin and token, without any socket."""
 
-from __future__ import annotations
-
 import hmac
 import re
 import secrets

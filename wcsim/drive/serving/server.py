@@ -6,8 +6,6 @@ hear yet: of each kind the newest alone, one slow wish at a time.
 Of sticks those stay too that say what the newest does not: that the button was pressed, or the stick let go of.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

@@ -1,7 +1,5 @@
 """What every renderer offers: draw the street and the actors of one moment into given buffers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Protocol
 

@@ -5,8 +5,6 @@ The lamps of traffic lights, lit by the state that SUMO gives: models before the
 The heads themselves stand still and belong to the street's mesh; their lamps change, so they are drawn like actors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.physics.renderer.kernels import ASPHALT, GRASS, SLABS, STRIPES, WINDOWS, StreetArrays, U32Array
 from wcsim.physics.renderer.models.paint import (
@@ -258,7 +257,7 @@ def _end_to_end(starts: Sequence[I32]) -> I32:
     return np.concatenate([*shifted, before[-1:]]).astype(np.int32)
 
 
-def _by_cell(mesh: StreetMesh) -> tuple[npt.NDArray[np.int64], I32]:
+def _by_cell(mesh: StreetMesh) -> tuple[I64, I32]:
     """Order (F,) that sorts the faces by cell of their middle, and the start of each cell in it (C + 1,)."""
     middle = mesh.vertices_W_m[mesh.faces].mean(axis=1)[:, :2]
     cell = np.floor(middle / CHUNK_M).astype(np.int64)
@@ -270,7 +269,7 @@ def _by_cell(mesh: StreetMesh) -> tuple[npt.NDArray[np.int64], I32]:
     return order, np.append(starts, len(key)).astype(np.int32)
 
 
-def _own_vertices(mesh: StreetMesh, order: npt.NDArray[np.int64], chunk_faces: I32) -> tuple[F32, I32, I32]:
+def _own_vertices(mesh: StreetMesh, order: I64, chunk_faces: I32) -> tuple[F32, I32, I32]:
     """Vertices chunk by chunk (shared ones copied), faces that count from the chunk's first vertex, vertex starts."""
     count = max(len(mesh.vertices_W_m), 1)
     chunk = np.repeat(np.arange(len(chunk_faces) - 1), np.diff(chunk_faces))

@@ -1,7 +1,5 @@
 """The moving things of one moment as rows of numbers: which model, where, how large, which colours."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Sequence

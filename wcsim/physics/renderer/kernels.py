@@ -5,8 +5,6 @@ buffer, there for some pictures only, holds a face's number in the street, or wi
 picture of instances, an actor's row.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

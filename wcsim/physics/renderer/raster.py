@@ -4,8 +4,6 @@ Its second pass turns face numbers and depth into shaded, patterned, hazy colour
 here is called by a kernel of another module, see `kernels`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from wcsim.core.jit import compile_fast_kernel

@@ -5,13 +5,10 @@ TinyRenderer samples pixel CORNERS, its pixel (u, v) is the ray through (u, v + 
 (u + 0.5, v + 0.5) (`corner_shift` moves the rasteriser there); and it never draws the back of a face.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.core.closing import ClosingContextBase
 from wcsim.core.frames import Quat, quaternion_from_ypr
@@ -28,7 +25,7 @@ from wcsim.types import F64, U8, Bool, ClassId
 _FACES_PER_BODY = 30_000  # Bullet takes 131072 vertices and 524288 indices a mesh at most
 _PARKED_M = (0.0, 0.0, -1.0e5)  # where bodies wait that no actor needs in this picture
 
-Corners = npt.NDArray[np.float64]  # (T, 3 corners, 3)
+Corners = F64  # (T, 3 corners, 3)
 
 
 @dataclass(frozen=True, slots=True, order=True)

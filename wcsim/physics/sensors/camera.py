@@ -4,15 +4,12 @@ The errors of a camera are made of its configuration and laid over the true pict
 of each actor a picture shows.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.config import CameraConfig, CameraNoiseConfig, DepthNoiseConfig
 from wcsim.core import frames, seeding
@@ -30,14 +27,14 @@ from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, mount
 from wcsim.physics.sensors.drawing_threads import DrawingThreads, Work, cores
 from wcsim.physics.sensors.object_noise import ObjectNoise
 from wcsim.physics.sensors.pixel_noise import ClassNoise, ColourNoise, DepthNoise, child
-from wcsim.types import F64, I32, U8, Bool, CameraFrame, SignalHead, StreetMesh
+from wcsim.types import F64, I32, I64, U8, Bool, CameraFrame, SignalHead, StreetMesh
 
 _STATED_PX = 320 * 240
 """The picture for which numbers of pixels are stated; in one of another size they are scaled by its share of this."""
 
 
 @compile_fast_kernel
-def _count(instance: I32, counts: npt.NDArray[np.int64]) -> None:
+def _count(instance: I32, counts: I64) -> None:
     for row in range(instance.shape[0]):
         for i in instance[row]:
             if 0 <= i < len(counts):

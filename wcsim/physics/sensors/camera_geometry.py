@@ -1,7 +1,5 @@
 """Where cameras look: mounts, poses, and the ideal camera of a configuration."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """A few threads that draw pictures side by side: what is compiled lets the others run meanwhile."""
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Callable, Iterable

@@ -14,8 +14,6 @@ it sees the nose 8.7 degrees down. The complementary filter turns with the gyros
 slowly, so a short braking moves it less.
 """
 
-from __future__ import annotations
-
 import math
 from typing import cast
 

@@ -5,8 +5,6 @@ walk back to the word that decides gives the same state in any order of pictures
 replay. The rates of each level and their sources stand in `object_noise.toml`.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any, NamedTuple
 

@@ -5,8 +5,6 @@ w = (r_r w_r - r_l w_l) / track, counter-clockwise. Radius and track are those o
 that slips, or is worn, is not noticed: that is what odometry gets wrong.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

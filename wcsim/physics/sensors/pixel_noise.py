@@ -6,8 +6,6 @@ of the generator splitmix64; a word becomes normal by a table of quantiles, whic
 and sine. All that a kernel calls is in this file, see `physics/renderer/kernels.py`.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from statistics import NormalDist
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 The cameras of one seat as a sensor: their pictures come from the rig that all seats share.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any

@@ -9,8 +9,6 @@ and the chair is thrown as if by a kerb. A force that large is looked at here, a
 taken: the chair coasts on as it was for that step.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

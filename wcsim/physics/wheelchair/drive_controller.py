@@ -5,8 +5,6 @@ within its limits. What they give are target speeds for the two motors, whose to
 All of it is compiled, and works on an array of memory (`new_state`) and one of settings (`settings`).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -4,8 +4,6 @@ Joints are named like the link that they carry: `wheel_l`; for each pair of cast
 they share one), `arm_0_l` (when sprung), `swivel_0_l` and `caster_0_l`; `antitip_0_l`; and the same with `_r`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final

@@ -7,8 +7,6 @@ then `state`, `imu` and `contacts` answer.
 crash of its own, though no part of the chair but wheels may touch anything.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace

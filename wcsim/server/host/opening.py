@@ -3,8 +3,6 @@
 Loads SUMO and PyBullet.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a world process reports to its parent process, as lines of JSON."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import statistics

@@ -4,8 +4,6 @@ The order is always: the world changes, the journal has it, the clients get it. 
 seen is in the journal, whichever process dies at what time.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """A clock of the time in which a process was awake: while a signal stops it, it does not wait."""
 
-from __future__ import annotations
-
 from typing import Final
 
 LEAP_S: Final = 0.5

@@ -1,7 +1,5 @@
 """events.jsonl of a run with several processes: their starts, deaths, restarts and recoveries."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -4,8 +4,6 @@ The launcher is a tiny process that loads no simulator and no torch. One loop wa
 ends of processes, and everything has a deadline. The children die with it, however it ends.
 """
 
-from __future__ import annotations
-
 import selectors
 import time
 from collections.abc import Callable, Sequence

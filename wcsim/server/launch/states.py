@@ -3,8 +3,6 @@
 Plans, rules for restarts and waits, the status that processes send, exit codes, and the outcome.
 """
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ What a status or an exit code means is decided here, for a client and for a worl
 hangs is killed, and then restarted as one that died.
 """
 
-from __future__ import annotations
-
 import re
 import selectors
 import signal

@@ -4,8 +4,6 @@ A link is for one seat. `act` names the tick it is for: an action for another ti
 own is a ProtocolError. Snapshots are valid until the client's next call.
 """
 
-from __future__ import annotations
-
 import secrets
 import time
 from abc import abstractmethod

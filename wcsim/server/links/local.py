@@ -4,8 +4,6 @@ No other seat can act while one waits, so a wait for another seat is an error at
 deadlock: with several seats, first `send` for all of them, then `receive`.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

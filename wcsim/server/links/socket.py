@@ -8,8 +8,6 @@ threads are not there. While the caller works, a thread receives for it; the two
 thing at the same time.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import math

@@ -9,8 +9,6 @@ just after one. So two runs in which the same clients do the same give the same 
 order of their messages.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Self

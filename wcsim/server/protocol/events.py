@@ -5,8 +5,6 @@ host is a world process behind ZeroMQ, a process with the world inside, a model 
 simulator of faults.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 

@@ -1,7 +1,5 @@
 """What the system may refuse a process while it runs: room on a disk, and open files."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -5,8 +5,6 @@ of respawns at that tick). The bounds are those of `types/bounds.py`. No request
 tick, so one that comes twice, or late, has no second effect.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace

@@ -9,8 +9,6 @@ master's action is the tick request of the paper. Each request has its epoch, ti
 that comes twice or late has no effect. docs/protocol.md shows the states.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from wcsim import errors

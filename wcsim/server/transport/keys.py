@@ -5,8 +5,6 @@ A folder of keys has `server.secret`, `server.public`, and for each client that 
 client's secret. The files are those of zmq.auth.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

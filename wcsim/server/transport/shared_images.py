@@ -5,8 +5,6 @@ next one is drawn. A slot has two sets of pictures: the tick that ends an episod
 the next one's first frame.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import secrets

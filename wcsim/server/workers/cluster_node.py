@@ -4,8 +4,6 @@ Files travel by their names below a folder, each compressed. They are written to
 of their piece.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

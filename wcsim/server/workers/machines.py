@@ -4,8 +4,6 @@ The rest of wcsim need not know which. On a cluster, the input files of a piece 
 folder. It is removed with the piece; after a kill, with the next piece on that machine.
 """
 
-from __future__ import annotations
-
 import re
 import socket
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """The cache: its folder, how a file is written into it, what is in it, and how it is emptied. Loads nothing heavy."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import stat

@@ -4,8 +4,6 @@ A street is stored as named arrays. Its file is read by position, so that copies
 each other's place in it.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import zipfile

@@ -77,23 +77,24 @@ def _find_notes(town: Town, net: Net, over: tuple[_Overlap, ...] = ()) -> tuple[
             f"{worst.pavement} under {worst.street}, {worst.area_m2:.0f} m2; move or delete one of them: "
             f"{Cures(town).netedit()}"
         )
-    if _polygons(town) is None and not _built_up(town, net):
+    # A file of another name may hold buildings or trees.
+    items = read_items(with_included(town.additional, town.border), town.file.origin_m, net)
+    if _polygons(town) is None and not any(item.kind in _BUILT_UP for item in items):
         notes.append("there are no buildings or trees: the town has no .poly.xml")
     return tuple(notes)
 
 
-def _projection_faults(town: Town, net: Net) -> tuple[str, ...]:
-    """Nets whose coordinates are no metres."""
+def _require_metres(town: Town, net: Net) -> None:
+    """Raise TownError for a net whose coordinates are no metres."""
     low_m, high_m = net.corners_m()
     size_m = high_m - low_m
-    size = f"{town.net.name} is {size_m[0]:.4g} x {size_m[1]:.4g} m"
+    size = f"{town.net}: {town.net.name} is {size_m[0]:.4g} x {size_m[1]:.4g} m"
     if size_m.max() > _LARGEST_M:
-        return (f"{size}, so its projection is wrong; {_PROJECT}",)
+        raise TownError(f"{size}, so its projection is wrong; {_PROJECT}")
     drawn_m = sum(float(np.hypot(*np.diff(lane.points_m, axis=0).T).sum()) for lane in net.every_lane)
     noted_m = sum(lane.length_m for lane in net.every_lane if lane.kind is not LaneKind.WALKINGAREA)
     if size_m.max() < 2.0 or noted_m > 20.0 * drawn_m:
-        return (f"{size}, so its coordinates are in degrees or another unit; {_PROJECT}",)
-    return ()
+        raise TownError(f"{size}, so its coordinates are in degrees or another unit; {_PROJECT}")
 
 
 def _foreign_polygons(town: Town, net: Net) -> list[str]:
@@ -115,12 +116,6 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
 def _polygons(town: Town) -> Path | None:
     """The file of buildings and trees, named by the scenario or included."""
     return town.poly or polygons_among(with_included(town.additional, town.border))
-
-
-def _built_up(town: Town, net: Net) -> bool:
-    """Whether a file of another name holds buildings or trees."""
-    files = with_included(town.additional, town.border)
-    return any(item.kind in _BUILT_UP for item in read_items(files, town.file.origin_m, net))
 
 
 def _ways(town: Town, net: Net, found: TownReport, faster: tuple[float, str]) -> list[str]:
@@ -145,19 +140,16 @@ def _ways(town: Town, net: Net, found: TownReport, faster: tuple[float, str]) ->
         share = f"{found.walkable_largest_share:.1%} of the walkable area is connected"
         cure = Cures(town).larger() if imported else f"join the parts: {Cures(town).netedit()}"
         cure = fast_too if faster[0] > found.walkable_largest_share else cure
-        lines.append(f"only {share}; expected {ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
+        # Which parts of the walkable ground cannot be reached on foot.
+        parts = ", ".join(f"edge {part.edge} ({part.area_m2:.0f} m2)" for part in found.cut_off[:_TOLD_PARTS])
+        more = f" and {len(found.cut_off) - _TOLD_PARTS} more" if len(found.cut_off) > _TOLD_PARTS else ""
+        told = f"cut off: the parts around {parts}{more}; " if parts else ""
+        lines.append(f"only {share}; expected {ENOUGH_SHARE:.0%}: {told}{cure}")
     return lines
 
 
 def _lacks_crossings(net: Net, found: TownReport) -> bool:
     return not found.crossings and bool(net.lanes(LaneKind.MOTOR))
-
-
-def _parts(cut_off: tuple[CutOff, ...]) -> str:
-    """Which parts of the walkable ground cannot be reached on foot."""
-    parts = ", ".join(f"edge {part.edge} ({part.area_m2:.0f} m2)" for part in cut_off[:_TOLD_PARTS])
-    more = f" and {len(cut_off) - _TOLD_PARTS} more" if len(cut_off) > _TOLD_PARTS else ""
-    return f"cut off: the parts around {parts}{more}; " if parts else ""
 
 
 def _no_walkers(town: Town, net: Net, found: TownReport) -> list[str]:
@@ -177,7 +169,7 @@ _CHECKED_S = 600.0  # of the demand, from its begin
 _DEFAULT_CLASSES = {"DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle"}
 _NO_WAY = re.compile(
     r"vehicle '([^']+)' has no valid route|person '([^']+)' because|found for person '([^']+)'"
-    r"|within the route [a-z ]*'([^']+)' is not known|sorted by departure time, ignoring '([^']+)'"
+    r"|within the route [a-z ]*'([^']+)' is not known"
 )
 
 
@@ -206,8 +198,7 @@ def check_town(town: Town, share: float | None = None, faster: tuple[float, str]
     """
     files_of(town, RunConfig())  # missing files are reported before SUMO opens a large net
     net = read_net(town.net, town.file.origin_m)
-    if wrong := _projection_faults(town, net):
-        raise TownError(f"{town.net}: {wrong[0]}")
+    _require_metres(town, net)
     validate_net(town.net, border=town.border)
     street = load_street(town)
     parts = walkable_parts(net, town.file.chair_ways) if share is None else []
@@ -235,7 +226,8 @@ def _demand_classes(town: Town) -> tuple[str, ...]:
             if element.tag == "vType":
                 class_of[element.get("id", "")] = element.get("vClass", "passenger")
             elif element.tag == "vTypeDistribution":
-                members[element.get("id", "")] = _members(element)
+                inner = (child.get("id", child.get("refId", "")) for child in element.iterfind("vType"))
+                members[element.get("id", "")] = *inner, *element.get("vTypes", "").split()
             elif element.tag in ("vehicle", "trip", "flow"):
                 used.add(element.get("type", "DEFAULT_VEHTYPE"))
             elif element.tag in ("person", "personFlow"):
@@ -257,14 +249,21 @@ def _unroutable_trips(town: Town) -> int:
         begin_s = Cures(town).own_time()[0]  # SUMO drops who departs before
         options += ["-a", "needed.add.xml", "-b", f"{begin_s:.12g}", "-e", f"{begin_s + _CHECKED_S:.12g}"]
         options += ["-o", "out.rou.xml", "--ignore-errors", "--no-step-log", "--xml-validation", "never"]
-        if read_configuration(town.sumocfg).seconds("route-steps", "200") <= 0.0:  # read as a whole, in any order
-            options.append("--unsorted-input")
         run = run_tool("duarouter", options, folder, Limits(wall_s=180.0))
     if run.returncode:
         files = ", ".join(path.name for path in (*town.routes, *town.additional, town.net))
         raise SumoError(f"{town.sumocfg}: its demand cannot be checked: {run.reason()}; correct one of: {files}")
-    found = _NO_WAY.findall(run.output)
-    return len({name for names in found for name in names if name})
+    missed = {name for names in _NO_WAY.findall(run.output) for name in names if name}
+    in_order = read_configuration(town.sumocfg).seconds("route-steps", "200") > 0.0  # else files are read as a whole
+    for path in town.routes if in_order else ():
+        latest_s = 0.0
+        for element in read_root(path):
+            depart = element.get("depart", element.get("begin", ""))
+            depart_s = float(depart) if re.fullmatch(r"\d+(\.\d*)?", depart) else latest_s
+            if depart_s < latest_s:
+                missed.add(element.get("id", ""))
+            latest_s = max(latest_s, depart_s)
+    return len(missed)
 
 
 def _for_routes(files: list[Path]) -> ElementTree:
@@ -282,11 +281,6 @@ def _needed_of(path: Path) -> Iterator[Element]:
             yield from _needed_of(path.parent / element.get("href", ""))
         elif element.tag in FOR_ROUTES:
             yield element
-
-
-def _members(element: Element) -> tuple[str, ...]:
-    inner = [child.get("id", child.get("refId", "")) for child in element.iterfind("vType")]
-    return tuple([*inner, *element.get("vTypes", "").split()])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

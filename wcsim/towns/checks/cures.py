@@ -3,8 +3,6 @@
 What is to be done by hand stands before the command, which goes on to the end of its line.
 """
 
-from __future__ import annotations
-
 import math
 import shlex
 import sys
@@ -79,7 +77,8 @@ class Cures:
             net = net_of(parse_root(self.add_pavements(self._town.net, fastest_mps), "the paved net"), "the paved net")
         except (SumoError, TownError):
             return 0.0
-        before, after = (len(each.lanes(*WALK_KINDS, LaneKind.WALKINGAREA)) for each in (read_net(self._town.net), net))
+        kinds = *WALK_KINDS, LaneKind.WALKINGAREA, LaneKind.CROSSING
+        before, after = (len(each.lanes(*kinds)) for each in (read_net(self._town.net), net))
         joined = after > before and net.lanes(LaneKind.WALKINGAREA)
         return largest_share(walkable_parts(net, self._town.file.chair_ways)) if joined else 0.0
 

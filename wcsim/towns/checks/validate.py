@@ -1,7 +1,5 @@
 """Is a net safe to open in this process? SUMO dies on broken ones, so a child opens it first."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Buildings: footprints cleared of the street, parts and courtyards, heights from tags or, without any, from a seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ from maps is kept clear of road and walking lines. What an author placed in an a
 exactly there, whatever is below or around.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from pathlib import Path

@@ -3,8 +3,6 @@
 Height 0 is the ground; whatever stands on it reaches a little deeper, because ground falls at crossings and on hills.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Things that stand in the street: what they look like, what they take of the ground, and at what height they stand."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace

@@ -6,8 +6,6 @@ Crossings without paint are those that a map calls unmarked, and those that netc
 They stay crossings for SUMO, and their kerbs are lowered; on the ground they look like the road.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Posts and heads of traffic lights, for those who drive and those who cross, and signs at junctions without any."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """How high kerbs stand, and where they are lowered: at crossings, and where OpenStreetMap says so."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The triangles of a street: its ground without gaps or slivers, kerb walls, and the mesh with its raster."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Work on areas as large as a city: what lies near a place, and buffers, at a cost that grows with the area alone."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

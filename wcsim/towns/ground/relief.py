@@ -4,8 +4,6 @@ A lattice surface that runs close by the heights of all lanes and bends as littl
 Where one way passes over another, the lower one is the land, and the upper one is no ground.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Solid things as triangles: prisms, posts, boxes, wheels. Triangles are counter-clockwise seen from outside."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

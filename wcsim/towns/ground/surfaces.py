@@ -3,8 +3,6 @@
 Beside the streets, car parks and squares are paved, and so is the ground between the houses of a town.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 

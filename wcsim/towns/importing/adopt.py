@@ -3,8 +3,6 @@
 Only files that SUMO reads go with the copy, and the author's notices; private files of other kinds stay behind.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

@@ -9,8 +9,6 @@ A trial run finds walking ways on which people get stuck. Where SUMO's pavements
 for minutes, and with them the cars that wait for them.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

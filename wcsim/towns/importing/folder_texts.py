@@ -1,7 +1,5 @@
 """A new town's folder: the text files in it, the work folder in which it is made, and its move into place."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -5,8 +5,6 @@ town's net is built without parts that cannot be reached on foot. SUMO's own too
 for their crashes.
 """
 
-from __future__ import annotations
-
 import logging
 import shlex
 from collections import Counter

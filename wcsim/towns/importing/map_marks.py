@@ -4,8 +4,6 @@ Parked cars are in SUMO parking areas on the car parks that OpenStreetMap maps, 
 only made where nobody drives or walks: off the carriageway, the pavements, the crossings and the buildings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

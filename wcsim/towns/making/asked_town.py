@@ -1,7 +1,5 @@
 """A town by the word that a user types: a name, a path, or `made:SEED`, whose other properties may be chosen, too."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final

@@ -5,8 +5,6 @@ What fills the blocks between streets: houses along the pavement, parks, squares
 What stands along the pavements: trees, lamps, benches, signs, stops, and things left in the way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path

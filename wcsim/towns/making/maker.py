@@ -5,8 +5,6 @@ Writes streets as SUMO's plain nodes and edges, and lets netconvert make a net w
 Which street is what: links that continue each other are one street, and each street has a class and its widths.
 """
 
-from __future__ import annotations
-
 import logging
 import shlex
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 A plan is then made to look grown: links left out, junctions moved, bends, the whole town turned.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 `python -m wcsim.towns.osm.cut IN FORMAT OUT [W,S,E,N]` writes .osm XML; without a box all of it.
 """
 
-from __future__ import annotations
-
 import sys
 
 import osmium

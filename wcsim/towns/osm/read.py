@@ -175,19 +175,7 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
         other = f"is not an OpenStreetMap extract (root <{root.tag}>): export the area as raw OpenStreetMap data (.osm)"
         raise _other(path, _DATA["roots"].get(root.tag, other))
     places = _places(root, path)
-    streets = _streets(root)
-    found = [[places[ref] for nd in way.iterfind("nd") if (ref := nd.get("ref", "")) in places] for way in streets]
-    bare = sum(len(ends) < 2 for ends in found)
-    if 2 * bare > len(streets):
-        raise TownError(
-            f"{path}: {bare} of its {len(streets)} streets have no nodes, as after Overpass' out geom; {EXPECTED}, "
-            "with nodes: end the query with (._;>;); out body;"
-        )
-    if not streets:
-        remark = root.findtext("remark", "").strip()
-        said = f" (the server said: {escape(remark, 200)})" if remark else ""
-        raise TownError(f"{path}: is not an OpenStreetMap extract with streets in it{said}; {EXPECTED}, with streets")
-    nodes = [place for ends in found for place in ends]
+    nodes = _street_nodes(root, places, path)
     cover, named = _cover(nodes), box or _bounds(root)
     try:
         box = named or cover
@@ -202,6 +190,23 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
             f"there, such as where most of them are: {_densest(nodes).option}"
         )
     return Extract(root=root, box=box, bounded=named is not None)
+
+
+def _street_nodes(root: Element, places: dict[str, tuple[float, float]], path: Path) -> list[tuple[float, float]]:
+    """The places of the nodes of all streets. Raises TownError where there are none, or most streets have none."""
+    streets = _streets(root)
+    found = [[places[ref] for nd in way.iterfind("nd") if (ref := nd.get("ref", "")) in places] for way in streets]
+    bare = sum(len(ends) < 2 for ends in found)
+    if 2 * bare > len(streets):
+        raise TownError(
+            f"{path}: {bare} of its {len(streets)} streets have no nodes, as after Overpass' out geom; {EXPECTED}, "
+            "with nodes: end the query with (._;>;); out body;"
+        )
+    if not streets:
+        remark = root.findtext("remark", "").strip()
+        said = f" (the server said: {escape(remark, 200)})" if remark else ""
+        raise TownError(f"{path}: is not an OpenStreetMap extract with streets in it{said}; {EXPECTED}, with streets")
+    return [place for ends in found for place in ends]
 
 
 def _xml_of(path: Path, box: Box | None) -> bytes:

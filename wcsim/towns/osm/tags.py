@@ -1,7 +1,5 @@
 """What OpenStreetMap's tags say about being on the ground, below it, above it, or indoors, and lengths in them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

@@ -4,8 +4,6 @@ A pavement becomes lane 0 of its edge, so lanes and positions move on by one. Si
 crossings: each state is given a letter for every new link.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence, Set

@@ -3,8 +3,6 @@
 The author's signal programs that lie in the net itself: netconvert puts phases of its own into them.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

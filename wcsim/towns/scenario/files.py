@@ -9,8 +9,6 @@ Names of written files: all in one folder, none twice, none that leads anywhere 
 The border of a scenario: files that lie outside of its folder are neither opened nor copied unasked.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """SUMO's own options, and what a .sumocfg sets of them, whichever way it spells them."""
 
-from __future__ import annotations
-
 import functools
 import math
 import os

@@ -1,7 +1,5 @@
 """What wcsim overrides of a scenario's own options: one list of rules, which `tools/overrides_page.py` prints."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A scenario on its way into a world: filtered copies in the run folder, the author's own files untouched."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Sequence
@@ -80,8 +78,9 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
     # SUMO writes some outputs as parquet until two of their elements differ; then it aborts the process.
     fcd = f"{config.value('fcd-output.attributes')} {config.value('fcd-output.max-leader-distance')}"
     for option, value in kept:
-        parquet = value.endswith(".parquet") or config.value("output.format") == "parquet"
-        if parquet and re.match(_UNEVEN, f"{option.name} {fcd}"):
+        if re.match(_UNEVEN, f"{option.name} {fcd}") and (
+            value.endswith(".parquet") or config.value("output.format") == "parquet"
+        ):
             raise TownError(
                 f"{config.path}: SUMO dies when it writes <{option.name}> as parquet; expected XML or CSV: end its "
                 "file's name in .xml, without <output.format>"

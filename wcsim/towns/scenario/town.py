@@ -1,7 +1,5 @@
 """Towns on disk: found by name or path, the same by hash or not, and with a manifest that shows a change since."""
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import re

@@ -1,7 +1,5 @@
 """Scenes: short hand-written streets, built with netconvert when they are needed, with the seats of their chairs."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A scene before it is written: streets, traffic and a joystick as plain numbers, which a mirror can turn over."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

@@ -9,8 +9,6 @@ Bicycles and e-scooters that come up from behind, where the chair's camera does 
 Kerbs and walls: what the chair itself drives over or into, without other road users.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

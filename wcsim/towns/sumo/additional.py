@@ -1,7 +1,5 @@
 """What stands in a town, as SUMO's additional files say: buildings, fences, points such as trees, stops of buses."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """A SUMO net as plain data: lanes with their class and shape, connections, junction outlines."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

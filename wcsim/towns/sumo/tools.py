@@ -1,7 +1,5 @@
 """SUMO's command line tools as children, with limits on time and memory; the end of their output is kept."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

@@ -1,7 +1,5 @@
 """What SUMO warns of: a file of its own, which is read while SUMO writes it and kept within a budget."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -6,8 +6,6 @@ that holds ASCII as it is, without a document type, nested as deep as a scenario
 gzip and bzip2 files are unpacked here too: never more than was asked for, in a time that the result's size bounds.
 """
 
-from __future__ import annotations
-
 import bz2
 import codecs
 import gzip

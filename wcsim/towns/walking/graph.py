@@ -3,8 +3,6 @@
 Shortest ways that stay inside an area.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Walkable islands: pieces of pavement and footway without a way on foot to the rest of the town."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Starts where a chair does not belong: before a kerb, below or above it, in a gutter, on grass, in a drive."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

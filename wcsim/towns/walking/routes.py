@@ -1,7 +1,5 @@
 """Ways for a wheelchair through a town: from where it stands to where it wants to go."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import networkx

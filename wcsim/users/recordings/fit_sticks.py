@@ -6,8 +6,6 @@ slow or still until the next movement. Long movements show the lag of a hand, th
 them its wander. There is a sample every 0.02 s.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -5,8 +5,6 @@ corrections have intervals by drawing stretches anew. Four switches add no chanc
 the right delay and the right hold reproduce every sample.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -5,8 +5,6 @@ the loop, where an intent answers to the noise before it. The negative logarithm
 stretches of time. It is minimized by their gradients, and their spread gives the certainty.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Keys and switches know few positions, and show nothing of how a hand moves between them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

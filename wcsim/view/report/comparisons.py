@@ -1,7 +1,5 @@
 """What a test decides: policies compared over the same episodes, and the verdict in plain words."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from textwrap import wrap

@@ -1,7 +1,5 @@
 """The failures of a test, worst first: what happened, whose fault it was, the command that repeats it, and pictures."""
 
-from __future__ import annotations
-
 import math
 import shlex
 from collections.abc import Callable, Collection, Iterable, Sequence

@@ -3,8 +3,6 @@
 It is the one module that draws with matplotlib.
 """
 
-from __future__ import annotations
-
 import io
 import re
 from collections import Counter

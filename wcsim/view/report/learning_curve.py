@@ -1,13 +1,11 @@
 """What a training's logs say of its steps and episodes, running means, and where KPI 1 came below its limit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, get_type_hints
 
 from wcsim.agents.runs.metrics import (
     COLUMNS,
@@ -118,10 +116,10 @@ def _homes(folder: Path, manifest: Mapping[str, Any]) -> Iterable[tuple[str, Pat
 
 def _rows(path: Path, columns: tuple[str, ...], kind: type[_Row]) -> tuple[_Row, ...]:
     """The rows of a log; none where there is no such file. Raises PolicyError for one that has no finite numbers."""
-    found = []
+    found, kinds = [], get_type_hints(kind)
     for row in read_metrics(path, columns) if is_file(path) else []:
         try:
-            read = {each.name: _READ[str(each.type)](row[_LOGGED.get(each.name, each.name)]) for each in fields(kind)}
+            read = {each.name: _READ[kinds[each.name]](row[_LOGGED.get(each.name, each.name)]) for each in fields(kind)}
         except ValueError:
             where = f"{path}: is damaged at step {escape_repr(row['step'])}"
             raise PolicyError(f"{where}; expected finite numbers") from None
@@ -135,11 +133,11 @@ def _finite(text: str) -> float:
     return value
 
 
-_READ: Final[Mapping[str, Callable[[str], Any]]] = {
-    "int": int,
-    "bool": lambda text: bool(int(text)),
-    "float": _finite,
-    "float | None": lambda text: _finite(text) if text else None,
+_READ: Final[Mapping[object, Callable[[str], Any]]] = {
+    int: int,
+    bool: lambda text: bool(int(text)),
+    float: _finite,
+    float | None: lambda text: _finite(text) if text else None,
 }
 _LOGGED: Final = {"kpi1": "kpi1_greedy", "elapsed_s": "elapsed_s_wall"}  # columns of other names
 

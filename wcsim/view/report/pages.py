@@ -1,7 +1,5 @@
 """Pages of HTML by templates that escape all text, what they show with its numbers as CSV, and their files."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import io

@@ -1,11 +1,9 @@
 """The page of a test, on a suite or at the end of a demo: tables, figures, failures, and what its words mean."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Final, get_type_hints
 
 from wcsim.agents.evaluation.suite.intervals import FEWEST
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
@@ -110,7 +108,7 @@ def _failed(failures: Sequence[FailedEpisode]) -> Exhibit:
 
 def _episodes(result: TestResult) -> Exhibit:
     """Every episode of every policy, for other tools."""
-    plain = [field.name for field in fields(EpisodeRecord) if str(field.type) in ("int", "float", "str", "bool")]
+    plain = [name for name, kind in get_type_hints(EpisodeRecord).items() if kind in (int, float, str, bool)]
     rows = [
         [name, *(getattr(e, key) for key in plain), *e.end_m, len(e.interventions),
          *(round(value, 6) for value in (*e.score_parts, e.score))]

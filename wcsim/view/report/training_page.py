@@ -3,8 +3,6 @@
 Of several clients it says, too, which one learned the second phase, and who waited for whom.
 """
 
-from __future__ import annotations
-
 import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence

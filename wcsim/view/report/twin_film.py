@@ -1,7 +1,5 @@
 """A film of two drives of the same episode, from behind the chair: the user alone, and beside it the user with help."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path

@@ -134,7 +134,7 @@ def test_truncation_bootstraps_from_its_own_last_observation_and_a_crash_does_no
 def test_a_step_that_was_never_driven_is_left_out_and_the_one_before_leads_to_its_observation(driven):
     buffer, reference = filled([["go"]] * driven, n_step=3, gamma=0.5)
     last = reference.steps[0][-1][2] if driven else 77
-    cut = {"TimeLimit.truncated": True, "reason": WORLD_RESTARTED}
+    cut = {"TimeLimit.truncated": True, WORLD_RESTARTED: True}
     buffer.add(stack([last]), stack([last]), np.array([9]), np.zeros(1), np.array([True]), [cut])
     assert buffer.total == driven
     after = [9001, 9002, 9003]  # of the episode that begins with the new world

@@ -3,8 +3,6 @@
 A fork is a copy of the world in which the user drives alone from this tick on.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ areas of crowded junctions over lanes, and some refuges are shorter than a chair
 about the map and nothing about a policy.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence

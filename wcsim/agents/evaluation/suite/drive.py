@@ -1,7 +1,5 @@
 """One block of a suite: a fresh world, a policy in each of its chairs, one record for each episode."""
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Callable, Iterator

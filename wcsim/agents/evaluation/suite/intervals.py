@@ -1,7 +1,5 @@
 """How well a count, a share or a mean over episodes is known: 95 % intervals, and a test of pairs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

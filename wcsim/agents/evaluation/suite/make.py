@@ -5,8 +5,6 @@ are driven by the user alone, those that crash are driven once more without the 
 again is taken over by the policy 10 s before.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress

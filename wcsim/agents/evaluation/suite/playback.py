@@ -1,7 +1,5 @@
 """Episodes of a suite driven once more, to look at how they ended: what was seen, asked and given, and who was near."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields, replace
@@ -9,7 +7,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import EnvStepResult, env_to_policy_observation
+from wcsim.agents.envs.episode_view import OBJECTS, EnvStepResult, env_to_policy_observation
 from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.run import drive_piece
@@ -124,7 +122,8 @@ class _LastSteps:
         """Keep a step."""
         del policy
         info, snapshot = step.info, world.snapshot
-        plant = info["state"]
+        objects = info[OBJECTS]
+        plant = objects.state
         p_W_m = np.array(plant.p_WB_m, np.float64)
         near = (_own(actor) for actor in snapshot.actors if np.hypot(*(actor.p_W_m - p_W_m)[:2]) <= NEAR_M)
         chairs = (
@@ -134,10 +133,10 @@ class _LastSteps:
         self.kept[seat].append(
             PlayedStep(
                 seat=seat,
-                step=info["events"].step,
+                step=objects.events.step,
                 seen=env_to_policy_observation(step.observation),
-                asked=info["asked"],
-                given=info["given"],
+                asked=objects.asked,
+                given=objects.given,
                 speed_mps=info["speed_mps"],
                 motion=(float(plant.v_B_mps[0]), float(plant.w_B_radps[2])),
                 p_W_m=p_W_m,

@@ -1,11 +1,9 @@
 """What became of one test episode, in plain numbers that can be added up over episodes."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from typing import Any, Final
+from dataclasses import asdict, dataclass
+from typing import Any, Final, get_type_hints
 
 from wcsim.core.reading import escape, escape_repr, pluralize
 from wcsim.errors import ConfigError
@@ -31,7 +29,7 @@ NOT_JUDGED: Final = "not_judged"
 
 _AGAIN: Final = "run the test again with this version"
 _LARGEST: Final = 1e12  # of a number, so that sums and squares of any are finite
-_PLAIN: Final[Mapping[str, tuple[type, ...]]] = {"int": (int,), "float": (int, float), "str": (str,), "bool": (bool,)}
+_PLAIN: Final[Mapping[type, tuple[type, ...]]] = {int: (int,), float: (int, float), str: (str,), bool: (bool,)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,13 +176,13 @@ def record_of(data: object) -> EpisodeRecord:
     """A record from `to_json`, whoever wrote it. Raises ConfigError for anything else."""
     if not isinstance(data, Mapping):
         raise ConfigError(f"got {escape_repr(data)}, expected an episode: {_AGAIN}")
-    kinds = {field.name: str(field.type) for field in fields(EpisodeRecord)}
+    kinds = get_type_hints(EpisodeRecord)
     other = sorted(set(data) ^ set(kinds))
     if other:
         raise ConfigError(f"an episode without, or with an unknown, {escape(str(other[0]))}: {_AGAIN}")
     for name, kind in kinds.items():
         if kind in _PLAIN and not _is(data[name], _PLAIN[kind]):
-            raise ConfigError(f"{name} of an episode is {escape_repr(data[name])}, expected {kind}: {_AGAIN}")
+            raise ConfigError(f"{name} of an episode is {escape_repr(data[name])}, expected {kind.__name__}: {_AGAIN}")
     try:
         found = [Intervention(**item) for item in data["interventions"]]
         places = _points(data["path_m"]), _points([data["end_m"]])[0]

@@ -1,7 +1,5 @@
 """What a test leaves in its folder, read again; whoever wrote it, only what fits comes through."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """A suite, driven by several processes: each block by itself, in any order, kept as soon as it is done."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing

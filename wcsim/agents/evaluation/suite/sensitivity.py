@@ -1,7 +1,5 @@
 """Which disturbance moves a policy's result: a list driven clean, and again with each disturbance alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final

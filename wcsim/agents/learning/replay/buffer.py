@@ -18,7 +18,7 @@ together again from them. Images of float32 are stored as their bytes. The image
 its frames one after the other, the newest last; a frame is all images of one moment.
 
 Safe actions of every step are a training aid from the privileged truth, never an observation. The
-environment reports them in `info["truth"]` of the step that leads to an observation. The first
+environment reports them in `info["objects"]` of the step that leads to an observation. The first
 observation of an episode comes from a reset, whose info Stable-Baselines3 does not hand to the
 memory: that row stays without advice.
 """
@@ -39,7 +39,7 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecNormalize
 
-from wcsim.agents.envs.episode_view import WORLD_RESTARTED
+from wcsim.agents.envs.episode_view import OBJECTS, WORLD_RESTARTED
 from wcsim.agents.learning.replay.frame_store import PACK_ABOVE_BYTES, BlobCodec, WindowStore
 from wcsim.agents.learning.replay.groups import Groups, SequenceBatch
 from wcsim.agents.policy_api import DEPTH_KEY
@@ -153,7 +153,7 @@ class FrameReplay(ReplayBuffer):
         """
         images, vectors = self.layout.image_rows(obs), self.layout.vector_rows(obs)
         # 1. A chain ends where this step does not continue it, and where its world was restarted.
-        restarted = all(info.get("reason") == WORLD_RESTARTED for info in infos)
+        restarted = all(info.get(WORLD_RESTARTED) for info in infos)
         if self.total > 0:
             last = self.total - 1
             ended = self.ended[last % self.buffer_size]
@@ -360,7 +360,9 @@ class FrameReplay(ReplayBuffer):
                 safe = np.asarray(truth.safe_actions, dtype=bool)
                 self.advice_bits[row, seat] = np.packbits(safe)
                 self.list_advice(self.total, seat, some_unsafe=not safe.all())
-        self._next_truths = [info.get("truth") if self.advised else None for info in infos]
+        self._next_truths = [
+            getattr(info.get(OBJECTS), "truth", None) if self.advised else None for info in infos
+        ]
 
     def _observations(self, index: I64, seats: I64) -> dict[str, torch.Tensor]:
         """The observations of these steps, (K, ...) each."""

@@ -14,8 +14,6 @@ wrapper changed the observations, or the steps before it are forgotten) is store
 frames, so what is read is what was written.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import Final
 

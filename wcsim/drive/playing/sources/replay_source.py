@@ -6,8 +6,6 @@ know of it. Where the film is slower than the run, it goes over to the newest ep
 how much it is behind till then.
 """
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Iterator

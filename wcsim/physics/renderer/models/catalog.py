@@ -4,8 +4,6 @@ Models are lists of convex primitives in metres, with class and paint. Every pri
 counter-clockwise seen from outside: the rasteriser may skip back faces.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,12 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.core.reading import read_module_toml
 from wcsim.physics.renderer.kernels import ModelArrays
 from wcsim.physics.renderer.models.paint import Paint, paint_table
-from wcsim.types import F64, U8, ActorKind, ActorLook, ClassId
+from wcsim.types import F64, I64, U8, ActorKind, ActorLook, ClassId
 
 _Point = tuple[float, float, float]
 
@@ -36,7 +33,7 @@ class _Part:
     """One closed convex piece (or a flat decal) of a model."""
 
     vertices_m: F64  # (V, 3)
-    faces: npt.NDArray[np.int64]  # (T, 3) indices into vertices_m, counter-clockwise seen from outside
+    faces: I64  # (T, 3) indices into vertices_m, counter-clockwise seen from outside
 
 
 @dataclass(frozen=True, slots=True)

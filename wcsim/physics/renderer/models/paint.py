@@ -1,7 +1,5 @@
 """The colours of the shaded picture: what every surface of the street and of an actor is painted with (RGB only)."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 from pathlib import Path
 
