@@ -9,7 +9,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.chair_check import drive_fit
 from wcsim.chair_check.drive_fit import (
     compute_motion_errors,

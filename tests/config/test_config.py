@@ -3,7 +3,7 @@ import re
 import pytest
 from pydantic import ValidationError
 
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from tools.readability import ROOT
 from wcsim.cli.main import main
 from wcsim.config import RunConfig, TownFile, parse, read_toml, resolve

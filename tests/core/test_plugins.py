@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.core.plugins import find_user_class_files, import_class, wrap_user_code_errors
 from wcsim.errors import HookError, PolicyError
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.log.drives import drive_header, tick, write_drive
 from tests.support.framing import chained
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, JournalError, WcsimError
 from wcsim.log.drive import read_drive

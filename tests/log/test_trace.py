@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.framing import chained, payloads_of
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.errors import WcsimError
 from wcsim.log.diff import find_golden_difference
 from wcsim.log.reader import read_trace_states

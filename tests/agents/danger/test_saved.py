@@ -8,7 +8,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from tests.agents.danger.sights import all_of, lectures, small_config
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.policy import load_danger, load_net, save_danger
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS

@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 
 import wcsim.agents
 from tests.agents.toy import ToyStreet, q_config, q_learner, toy_camera
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks import registry

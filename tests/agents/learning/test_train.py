@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim
 from tests.agents.toy import ToyStreet, a_run, full_once, q_config, toy_camera, train_toy
 from tests.support.events import read_events
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.checkpoint import _generator_state, _restored_generator

@@ -5,7 +5,7 @@ import pytest
 
 from tests.agents.driven import Script, driven
 from tests.agents.toy import toy_camera
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.agents.envs.episode_view import OBJECTS
 from wcsim.agents.opening import named_policy
 from wcsim.agents.opening.named_policy import open_named_policy, resolve_policy_config

@@ -10,7 +10,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.agents.opening.named_policy import describe_rule_differences
 from wcsim.agents.policies import onnx_policy
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_onnx_policy_file

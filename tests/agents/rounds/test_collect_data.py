@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.agents.danger.sights import a_segment, small_config, write_segment
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data

@@ -11,8 +11,8 @@ import pytest
 import zstandard
 
 from tests.agents.danger.sights import write_segment
-from tests.support.refusing import refusing
 from tests.support.worlds import dqn_config
+from tests.support.yardstick import refusing
 from wcsim.agents.runs import data_folder
 from wcsim.agents.runs.data_folder import (
     DrivingSegment,

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.agents.runs.metrics import append_round_metrics, has_metrics_per_round, read_round_metrics
 from wcsim.errors import PolicyError
 

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from tests.attack.files import files, policies
 from tests.attack.scenarios.twists import json_text
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.agents.learning import saved_policy
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS

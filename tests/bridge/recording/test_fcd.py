@@ -5,8 +5,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pytest
 
-from tests.support.refusing import refusing
 from tests.support.worlds import quick_config
+from tests.support.yardstick import refusing
 from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.town_run import TRACE, RecordOrder, record_town
 from wcsim.config import ChairConfig

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import QUICK, finished, parsed, start
-from tests.support.waiting import waited
+from tests.support.yardstick import waited
 from wcsim.agents.clients.group_run import ResolvedGroupRun, create_group_run_folder, open_group_run_folder
 from wcsim.agents.clients.paid_times import read_group_run_times
 from wcsim.agents.networks.names import NETWORK_NAMES

@@ -11,7 +11,7 @@ from tests.agents.evaluation.suite.lists import block_of, suite_in, written_list
 from tests.cli.conftest import finished, parsed, start
 from tests.cli.training.test_clients import SMALL
 from tests.support.events import read_events
-from tests.support.waiting import waited
+from tests.support.yardstick import waited
 from wcsim.agents.clients.group_run import ResolvedGroupRun, open_group_run_folder, read_chosen_client_name
 from wcsim.agents.evaluation.suite.result_files import result_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.drive.recording.studies import STUDY, Participant, write_study
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.bridge.replay.replayed import verify
 from wcsim.config import parse_json
 from wcsim.config.study import StudyFile

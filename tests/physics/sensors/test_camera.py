@@ -11,8 +11,8 @@ import pytest
 from tests.physics.renderer.render_oracle import actor
 from tests.physics.rig import shoot
 from tests.support.plants import plant_state
-from tests.support.refusing import refusing
 from tests.support.samples import USUAL_OUTLINE
+from tests.support.yardstick import refusing
 from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.config import CameraConfig
 from wcsim.core.frames import quaternion_from_ypr

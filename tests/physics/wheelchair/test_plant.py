@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.physics.rig import FORWARD, NEUTRAL, rig, step_street
-from tests.support.refusing import refusing
 from tests.support.samples import USUAL_OUTLINE
+from tests.support.yardstick import refusing
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.config.plant import list_plants
 from wcsim.errors import ConfigError, PhysicsError

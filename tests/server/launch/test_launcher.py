@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.events import read_events
-from tests.support.waiting import waited
+from tests.support.yardstick import waited
 from wcsim.config import RunConfig
 from wcsim.core.own_folder import create_runtime_folder, world_endpoint_from_folder
 from wcsim.server.launch.launcher import ProcessLauncher

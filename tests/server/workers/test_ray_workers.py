@@ -17,7 +17,7 @@ from tests.support.cluster.workpieces import (
     itself,
     take_in_a_bomb,
 )
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.cli.shared.common import workers_from_options
 from wcsim.config import resolve
 from wcsim.errors import ConfigError

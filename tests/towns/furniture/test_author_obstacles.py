@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from shapely import Polygon, box
 
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from tests.towns.furniture.standing_samples import authored
 from wcsim.errors import TownError
 from wcsim.towns.build_street import build_street

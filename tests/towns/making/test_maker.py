@@ -12,7 +12,7 @@ import pytest
 import shapely
 from shapely.errors import GEOSException
 
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from tests.towns.checks.test_faults import FINE
 from tests.towns.conftest import bytes_in
 from wcsim.bridge.town_run import RecordOrder, record_town

@@ -8,8 +8,8 @@ from xml.etree.ElementTree import Element
 import pytest
 import sumolib
 
-from tests.support.refusing import refusing
 from tests.support.typed import printed
+from tests.support.yardstick import refusing
 from tests.towns.conftest import run_in_sumo, tool_output
 from tests.towns.made.unpaved import BEGIN_S, write_unpaved
 from wcsim.cli.shared.common import parse_options

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.refusing import refusing
 from tests.support.worlds import quick_config
+from tests.support.yardstick import refusing
 from tests.towns.conftest import WriteScenario
 from tests.towns.made import hostile
 from tests.towns.scenario.test_stage import SETTINGS, staged_in

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from wcsim.agents.opening.list_file import open_suite
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, DiskFullError

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from tests.support.refusing import refusing
+from tests.support.yardstick import refusing
 from tests.users.recordings.plane_drives import plane_drive, thinned
 from wcsim.config import resolve
 from wcsim.core.seeding import make_rng

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.log.drives import tick, write_drive
-from tests.support.refusing import refusing
 from tests.support.samples import USUAL_OUTLINE, straight_route, write_recording
+from tests.support.yardstick import refusing
 from tests.users.kinematics import Chair, Sim
 from wcsim.errors import ConfigError
 from wcsim.types import Joystick
