@@ -107,6 +107,17 @@ def test_what_a_killed_import_left_is_cleared_and_a_town_moved_aside_comes_back(
     assert (order.out / "town.toml").is_file()
 
 
+def test_roads_without_a_junction_are_a_town_and_a_refusal_names_the_option_for_driveways(order: ImportOrder) -> None:
+    text = "\n".join(line for line in tiny_osm().splitlines() if "highway" not in line or '"Street 1"' in line)
+    order.osm.write_text(text, encoding="utf-8")
+    road = import_town(replace(order, traffic=0.0)).town
+    assert read_net(road.net).lanes(LaneKind.SIDEWALK)
+    order.osm.write_text(text.replace("residential", "service"), encoding="utf-8")
+    with pytest.raises(TownError, match=r"streets; .* --keep-service"):
+        import_town(order)
+    import_town(replace(order, traffic=0.0, keep_service=True))
+
+
 def test_filter_takes_out_what_crashes_netconvert_or_lies_under_ground() -> None:
     text = b"""<osm>
       <node id="1"><tag k="highway" v="crossing"/></node><node id="2"><tag k="highway" v="crossing"/></node>

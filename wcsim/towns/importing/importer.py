@@ -80,22 +80,36 @@ class ImportOrder:
 
 
 def _convert_net(order: ImportOrder, extract: str, folder: Path, more: Sequence[str] = ()) -> Path:
-    """Run netconvert on `extract` in `folder`, with `more` options, and with fewer when it fails. Raises SumoError."""
+    """Run netconvert on `extract` in `folder`, with `more` options, and with fewer when it fails.
+
+    Raises:
+        TownError: the net would be empty.
+        SumoError: netconvert failed.
+    """
     options = [*_net_options(order, extract), *more]
     first: ToolRun | None = None
     for step in _DATA["ladder"]:
         left_out = step["without"].split()
         kept = [option for option in options if option not in left_out]
         run = run_tool("netconvert", [*kept, *step["with"].split()], folder, _LIMITS)
-        if not run.returncode:
-            if first is not None:
+        place = folder / f"{order.name}.net.xml"
+        if not run.returncode and b"<lane" in place.read_bytes():
+            if first is not None and first.returncode:
                 log.warning("town %s: %s; the net was built without %s", order.name, first.reason(), " ".join(left_out))
-            return folder / f"{order.name}.net.xml"
+            return place
         first = first or run
-        if order.opendrive or "No edges" in run.output or "No nodes" in run.output:
+        empty = not first.returncode or "No edges" in run.output or "No nodes" in run.output
+        if order.opendrive or (empty and run.returncode):
             break
     assert first is not None  # noqa: S101 - the ladder is not empty
+    if empty:
+        raise _without("streets", order)
     raise SumoError(f"no net could be built: {first.reason()}; check the map and the bounding box")
+
+
+def _without(what: str, order: ImportOrder) -> TownError:
+    more = "" if order.opendrive or order.keep_service else ", or add --keep-service for driveways and yards"
+    return TownError(f"no net could be built: the area has no {what}; choose a larger or another bounding box{more}")
 
 
 def _net_options(order: ImportOrder, extract: str) -> list[str]:
@@ -206,23 +220,14 @@ def _converted(order: ImportOrder, root: Element, folder: Path, dropped: frozens
     root[:] = [item for item in root if item.tag != "way" or item.get("id", "").lstrip("-") not in dropped]
     strip_orphans(root)
     (folder / EXTRACT).write_bytes(xml_bytes(root))
-    net = _read(_convert_net(order, EXTRACT, folder))
+    net = read_net(_convert_net(order, EXTRACT, folder))
     if paved := wrongly_paved(net, folder / f"{order.name}.net.xml", root):
         config = folder / "unpaved.netccfg"
-        net = _read(_convert_net(order, EXTRACT, folder, by_file("sidewalks.guess.exclude", paved, config)))
+        net = read_net(_convert_net(order, EXTRACT, folder, by_file("sidewalks.guess.exclude", paved, config)))
         config.unlink()
     if not net.lanes(LaneKind.WALKINGAREA) and not net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED):
-        raise TownError("the area has no pavements; choose a larger or another bounding box")
+        raise _without("pavements", order)
     return net
-
-
-def _read(path: Path) -> Net:
-    try:
-        return read_net(path)
-    except TownError:
-        raise TownError(
-            "the area holds no street that could be built; choose a larger or another bounding box"
-        ) from None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -287,7 +292,7 @@ def import_opendrive(order: ImportOrder, stage: Stage) -> tuple[Town, tuple[str,
         with write_folder_atomically(order.out) as work:
             (work / "opendrive").mkdir()
             (work / "map.xodr").write_bytes(data)
-            net = _read(_convert_net(order, "map.xodr", work))
+            net = read_net(_convert_net(order, "map.xodr", work))
             (work / "map.xodr").unlink()
             write_gzip(work / "opendrive" / f"{name}.xodr.gz", data)
             stage("adding routes, and testing the traffic")
