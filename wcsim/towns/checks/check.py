@@ -18,6 +18,7 @@ from shapely.geometry.base import BaseGeometry
 
 from wcsim.config import RunConfig
 from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.reading import pluralize
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import ENOUGH_SHARE, FOR_ROUTES, PAVED_LATER, Cures
 from wcsim.towns.checks.validate import validate_net
@@ -129,7 +130,7 @@ def _ways(town: Town, net: Net, found: TownReport, faster: tuple[float, str]) ->
 
     if not found.walkingareas:
         paved = net.paved_streets
-        has = f"has pavements beside {paved} streets, but" if paved else "has"
+        has = f"has pavements beside {pluralize(paved, 'street')}, but" if paved else "has"
         return [
             f"the net {has} no walking areas{' to join them' if paved else ''}, so pedestrians cannot walk; {paving()}"
         ]
