@@ -26,8 +26,9 @@ BESIDE = {
         "server/launch/event_log.py", "server/launch/supervised.py", "core/processes.py",
         "server/workers/ray_workers.py", "server/workers/cluster_node.py", "towns/importing/folder_texts.py",
         "towns/osm/read.py", "towns/pave/pavements.py", "towns/scenario/options.py", "towns/scenario/stage.py",
-        "bridge/sumo/open_scenario.py",
-        "towns/scene_folders/build.py", "drive/playing/tick_film.py", "agents/evaluation/suite/result_files.py",
+        "bridge/sumo/open_scenario.py", "towns/checks/cures.py", "towns/importing/importer.py",
+        "towns/scene_folders/build.py", "towns/sumo/warning_log.py", "drive/playing/tick_film.py",
+        "agents/evaluation/suite/result_files.py",
     ),
     "it belongs to wcsim": (
         "config/load.py", "core/sources.py", "drive/serving/server.py", "towns/importing/demand.py", "towns/street.py",

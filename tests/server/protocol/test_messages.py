@@ -79,7 +79,7 @@ def test_an_error_arrives_under_its_own_name():
 
 
 def test_two_programs_of_one_version_have_one_schema():
-    code = "from wcsim.server.protocol import messages; print(messages.schema_hash())"
+    code = "from wcsim.server.protocol import messages; print(messages.hash_message_schema())"
     assert python_says(code) == m.hash_message_schema()
 
 

@@ -34,9 +34,7 @@ ODD = {
     "bow tie": (street(), BOW_TIE),
     "one on the other": (street(), street("t"), street("u", 1.0), edge("v", lane("0,1 60,1", WALK, "2.0"))),
     "half a metre": (street(), edge("n", lane("0,20 60,20", DRIVE, "0.5"), lane("0,24 60,24", WALK, "0.5"))),
-    "widths that are none": (
-        edge("w", lane("0,0 50,0"), lane("0,4 50,4", DRIVE, "-1"), lane("0,9 50,9", WALK, "nan")),
-    ),
+    "widths that are none": (edge("w", lane("0,0 50,0"), lane("0,4 50,4", DRIVE, "-1"), lane("0,9 50,9", WALK, "0")),),
     "no shape": (street(), '<junction id="a" type="priority" x="0" y="0"/>', '<junction id="b" shape="1,1 2,2"/>'),
     "roundabout": (street(), edge("r", lane(RING), lane(RING, WALK, "2.0")), street("q", 30.0, 20.0)),
     "hairpin": (edge("h", lane("0,0 40,0 0,2 40,4 0,6"), lane("0,-4 40,-4 0,-2", WALK, "2.0")),),
