@@ -9,7 +9,6 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from tests.support.yardstick import refusing
 from wcsim.chair_check import drive_fit
 from wcsim.chair_check.drive_fit import (
     compute_motion_errors,
@@ -23,8 +22,6 @@ from wcsim.chair_check.stick_drives import STEP_S, RecordedDrive, read_recorded_
 from wcsim.cli.main import main
 from wcsim.config import ChairConfig, resolve
 from wcsim.errors import ConfigError
-
-refused_read_recorded_drives = refusing(ConfigError, read_recorded_drives)
 
 TRUE = {
     "v_max_mps": 1.3,
@@ -125,12 +122,15 @@ def test_bad_files_are_refused(tmp_path, old, new, told):
 def test_drives_without_turns_and_files_without_odometry_are_refused(tmp_path):
     (drive,) = made([1])
     straight = replace(drive, stick=drive.stick * (0.0, 1.0), motion=drive.motion * (1.0, 0.0))
-    refused_read_recorded_drives("turn too little", [write(tmp_path, straight)])
+    with pytest.raises(ConfigError, match="turn too little"):
+        read_recorded_drives([write(tmp_path, straight)])
     alone = write(tmp_path, drive)
     (tmp_path / "d1.odom.csv.gz").write_bytes(b"\x1f\x8b broken")
-    refused_read_recorded_drives("cannot be read", [alone])
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_recorded_drives([alone])
     (tmp_path / "d1.odom.csv.gz").unlink()
-    refused_read_recorded_drives(r"d1\.odom\.csv", [alone])
+    with pytest.raises(ConfigError, match=r"d1\.odom\.csv"):
+        read_recorded_drives([alone])
 
 
 def test_the_plant_in_the_engine_repeats_the_law():

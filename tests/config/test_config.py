@@ -3,7 +3,6 @@ import re
 import pytest
 from pydantic import ValidationError
 
-from tests.support.yardstick import refusing
 from tools.readability import ROOT
 from wcsim.cli.main import main
 from wcsim.config import RunConfig, TownFile, parse, read_toml, resolve
@@ -13,8 +12,6 @@ from wcsim.config.scene import SceneFile
 from wcsim.config.suite import SuiteFile
 from wcsim.core.reading import SETTINGS, parse_toml
 from wcsim.errors import ConfigError
-
-refused = refusing(ConfigError, resolve)
 
 
 @pytest.mark.parametrize("preset", ["quick", "laptop", "best", "reward", "dqn", "paper"])
@@ -66,7 +63,8 @@ def test_an_override_reaches_its_key_and_nothing_else():
     ],
 )
 def test_a_wrong_override_says_what_is_wrong(override, says):
-    refused(says, "quick", (override,))
+    with pytest.raises(ConfigError, match=says):
+        resolve("quick", (override,))
 
 
 @pytest.mark.parametrize(
@@ -98,18 +96,21 @@ def test_a_wrong_override_says_what_is_wrong(override, says):
     ],
 )
 def test_a_number_out_of_bounds_is_refused_with_its_unit_and_its_bounds(override, says):
-    refused(says, "quick", (override,))
+    with pytest.raises(ConfigError, match=says):
+        resolve("quick", (override,))
 
 
 def test_what_is_wrong_with_an_item_is_told_without_what_follows_for_its_list():
     with pytest.raises(ConfigError) as told:
         resolve("quick", ("cameras.0.widht_px=80",))
     assert str(told.value).endswith("remove it or correct its name; did you mean 'width_px'?")
-    refused(r"cameras: Tuple should have at least 1 item", "quick", ("cameras=[]",))
+    with pytest.raises(ConfigError, match=r"cameras: Tuple should have at least 1 item"):
+        resolve("quick", ("cameras=[]",))
 
 
 def test_a_camera_must_see_something():
-    refused(r"from 2.0 m to range_m 1.5 m", "quick", ("cameras.0.noise.depth.z_min_m=2.0", "cameras.0.range_m=1.5"))
+    with pytest.raises(ConfigError, match=r"from 2.0 m to range_m 1.5 m"):
+        resolve("quick", ("cameras.0.noise.depth.z_min_m=2.0", "cameras.0.range_m=1.5"))
 
 
 def test_noise_goes_by_a_word_or_part_by_part():
@@ -150,7 +151,8 @@ def test_a_named_speed_of_the_chair_is_taken_over_a_resolved_configuration_too(t
     assert resolve(slow, file).chair.v_max_mps == 2.78
     assert resolve(slow, ("chair.profile=custom",)).chair.v_max_mps == 0.6
     for more in (("chair.profile=road", "chair.v_max_mps=1.0"), ("chair.v_max_mps=1.0", "chair.profile=road")):
-        refused("v_max_mps is 1", plain, more)
+        with pytest.raises(ConfigError, match="v_max_mps is 1"):
+            resolve(plain, more)
 
 
 @pytest.mark.parametrize("text", ["name =", "name = 'a'\nsplit = 'train'\nxx = 1", "name = 'a b'\nsplit = 'train'"])
@@ -199,7 +201,8 @@ def test_as_many_cameras_as_a_world_has_room_for():
     ],
 )  # fmt: skip
 def test_pictures_that_would_fill_the_memory_are_refused(overrides):
-    refused(r"pixels.*make width_px and height_px smaller", "quick", overrides)
+    with pytest.raises(ConfigError, match=r"pixels.*make width_px and height_px smaller"):
+        resolve("quick", overrides)
 
 
 def test_few_of_many_faults_are_told():
@@ -218,11 +221,8 @@ def test_not_every_wrong_item_of_a_list_costs_memory(wrong):
 
 
 def test_a_batch_that_would_fill_the_memory_is_refused():
-    refused(
-        r"a batch of 4096 observations.*learn\.batch_size",
-        "quick",
-        ("cameras.0.width_px=640", "cameras.0.height_px=480", "learn.batch_size=4096"),
-    )
+    with pytest.raises(ConfigError, match=r"a batch of 4096 observations.*learn\.batch_size"):
+        resolve("quick", ("cameras.0.width_px=640", "cameras.0.height_px=480", "learn.batch_size=4096"))
 
 
 def unbounded(schema, definitions, where=""):

@@ -1,4 +1,4 @@
-"""What a call is measured by: the processor time it takes, how it refuses, and when it has an answer.
+"""What a call is measured by: the processor time it takes, and when it has an answer.
 
 Processor time is a multiple of that of plain Python in the same run: no machine is too slow.
 """
@@ -7,8 +7,6 @@ import math
 import time
 from collections.abc import Callable
 from typing import Any
-
-import pytest
 
 SQUARES = 10_000  # about half a millisecond
 
@@ -23,16 +21,6 @@ def multiple(work: Callable[[], object], turns: int = 30) -> float:
         sum(i * i for i in range(SQUARES))
         best, yardstick = min(best, between - start), min(yardstick, time.process_time() - between)
     return best / yardstick
-
-
-def refusing(error: type[Exception], call: Callable[..., object]) -> Callable[..., None]:
-    """A check that `call` refuses what it is given: (a pattern of what the error says, what `call` is given)."""
-
-    def refused(said: str, *given: Any, **named: Any) -> None:
-        with pytest.raises(error, match=said):
-            call(*given, **named)
-
-    return refused
 
 
 def waited(what: Callable[[], Any], within_s: float = 120.0) -> Any:

@@ -8,7 +8,6 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from tests.agents.danger.sights import all_of, lectures, small_config
-from tests.support.yardstick import refusing
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.policy import load_danger, load_net, save_danger
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
@@ -16,8 +15,6 @@ from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core import files
 from wcsim.errors import PolicyError
-
-refused = refusing(PolicyError, load_net)
 
 RULE = DangerRuleSettings(threshold=0.2, warn=0.6)
 EYES = (
@@ -57,14 +54,17 @@ def test_weights_that_are_not_those_of_the_description_are_refused(tmp_path: Pat
     weights = load_file(folder / WEIGHTS)
     changed = {**weights, "base": weights["base"] + 1.0}
     save_file(changed, folder / WEIGHTS)
-    refused("SHA-256", folder)
+    with pytest.raises(PolicyError, match="SHA-256"):
+        load_net(folder)
     for name, value in (("base", weights["base"].double()), ("direct.0.weight", weights["direct.0.weight"][:-1])):
         save_file({**weights, name: value.contiguous()}, folder / WEIGHTS)
         reseal(folder)
-        refused(r"does not fit|has weights of", folder)
+        with pytest.raises(PolicyError, match=r"does not fit|has weights of"):
+            load_net(folder)
     save_file({**weights, "base": torch.tensor(float("nan"))}, folder / WEIGHTS)
     reseal(folder)
-    refused("not finite", folder)
+    with pytest.raises(PolicyError, match="not finite"):
+        load_net(folder)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,8 @@ def test_a_description_out_of_bounds_is_refused(tmp_path: Path, key: str, value:
     told = json.loads(path.read_text())
     (told if key in told else told["net"])[key] = value
     path.write_text(json.dumps(told))
-    refused(key, tmp_path / "p")
+    with pytest.raises(PolicyError, match=key):
+        load_net(tmp_path / "p")
 
 
 def test_somebody_elses_class_is_loaded_for_those_who_name_it_alone(tmp_path: Path):
@@ -90,7 +91,8 @@ def test_somebody_elses_class_is_loaded_for_those_who_name_it_alone(tmp_path: Pa
     told = json.loads(path.read_text())
     told["net"]["network"] = "wcsim.agents.networks.convolutional:PatchNet"
     path.write_text(json.dumps(told))
-    refused("--network", tmp_path / "p")
+    with pytest.raises(PolicyError, match="--network"):
+        load_net(tmp_path / "p")
     assert load_net(tmp_path / "p", told["net"]["network"])[0].spec.net.network == told["net"]["network"]
 
 

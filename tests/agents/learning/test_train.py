@@ -20,7 +20,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim
 from tests.agents.toy import ToyStreet, a_run, full_once, q_config, toy_camera, train_toy
 from tests.support.events import read_events
-from tests.support.yardstick import refusing
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.checkpoint import _generator_state, _restored_generator
@@ -41,8 +40,6 @@ from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
-
-refused = refusing(PolicyError, train_dqn)
 
 CAMERA = toy_camera(16, 20)
 INFO = RunInfo(seed=1, town="t", town_sha256="ab", command=("wcsim", "train"))
@@ -285,13 +282,12 @@ def test_wrong_folders_are_explained(run, tmp_path):
         train_toy(config(), path, street)
     with pytest.raises(PolicyError, match="not a run"):
         open_run(tmp_path)
-    refused(
-        "another configuration", a_run(config(gamma=0.5), path, 5, town="toy", town_sha256="00", resume=True), street
-    )
-    refused("another town_sha256", a_run(config(), path, 5, town="other", town_sha256="01", resume=True), street)
-    refused(
-        "another rewards", a_run(config(), path, 5, town="toy", town_sha256="00", rewards=("a:B",), resume=True), street
-    )
+    with pytest.raises(PolicyError, match="another configuration"):
+        train_dqn(a_run(config(gamma=0.5), path, 5, town="toy", town_sha256="00", resume=True), street)
+    with pytest.raises(PolicyError, match="another town_sha256"):
+        train_dqn(a_run(config(), path, 5, town="other", town_sha256="01", resume=True), street)
+    with pytest.raises(PolicyError, match="another rewards"):
+        train_dqn(a_run(config(), path, 5, town="toy", town_sha256="00", rewards=("a:B",), resume=True), street)
     with pytest.raises(PolicyError, match="unknown stage"):
         policy_folder_from_name(f"{path}:best")
     fresh = create_run_folder(tmp_path / "new", config(), make_run_manifest(config(), RunInfo(seed=1, town="t")))

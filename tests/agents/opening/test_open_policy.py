@@ -5,7 +5,6 @@ import pytest
 
 from tests.agents.driven import Script, driven
 from tests.agents.toy import toy_camera
-from tests.support.yardstick import refusing
 from wcsim.agents.envs.episode_view import OBJECTS
 from wcsim.agents.opening import named_policy
 from wcsim.agents.opening.named_policy import open_named_policy, resolve_policy_config
@@ -15,8 +14,6 @@ from wcsim.agents.policy_api import MOTION_SENSES
 from wcsim.agents.runs.policy_file import find_shipped_policy
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
-
-refused = refusing(PolicyError, open_named_policy)
 
 CONFIG = RunConfig(cameras=(toy_camera(24, 32),))
 
@@ -71,9 +68,12 @@ def test_without_torch_nothing_drives_by_a_law_that_is_not_its_own(monkeypatch):
     for level, other in others:
         policy = open_named_policy(f"shipped{level}", resolve_policy_config("shipped", "quick", (other,)), 0)
         assert not isinstance(policy, ExportedDangerPolicy)
-    refused(r"pip install 'wcsim\[train\]'", "veto:shipped", config, 0)
-    refused("trained with another camera", "shipped", CONFIG, 0)
+    with pytest.raises(PolicyError, match=r"pip install 'wcsim\[train\]'"):
+        open_named_policy("veto:shipped", config, 0)
+    with pytest.raises(PolicyError, match="trained with another camera"):
+        open_named_policy("shipped", CONFIG, 0)
 
 
 def test_an_unknown_policy_is_explained(tmp_path):
-    refused("not a run", str(tmp_path / "nowhere"), CONFIG, 0)
+    with pytest.raises(PolicyError, match="not a run"):
+        open_named_policy(str(tmp_path / "nowhere"), CONFIG, 0)

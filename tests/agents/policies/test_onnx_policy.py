@@ -10,15 +10,12 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from tests.support.yardstick import refusing
 from wcsim.agents.opening.named_policy import describe_rule_differences
 from wcsim.agents.policies import onnx_policy
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_onnx_policy_file
 from wcsim.agents.policy_api import MODEL_FILE, Warns
 from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.errors import PolicyError
-
-refused = refusing(PolicyError, OnnxPolicy)
 
 ACTIONS = 9
 SEEN = {"joystick": np.array([0.25, 0.5], np.float32), "depth": np.zeros((1, 6, 8), np.uint8)}
@@ -114,10 +111,12 @@ def test_a_folder_of_an_earlier_version_has_no_warning_and_a_test_reports_it(tmp
 
 def test_a_folder_is_read_or_refused(tmp_path: Path) -> None:
     assert parse_policy_name(str(tmp_path)).kind == "folder"
-    refused("has no output 'next_state_h'", write_model(tmp_path, state="later"), "toy", ACTIONS)
+    with pytest.raises(PolicyError, match="has no output 'next_state_h'"):
+        OnnxPolicy(write_model(tmp_path, state="later"), "toy", ACTIONS)
     assert parse_policy_name(str(tmp_path)).kind == "onnx"
     (tmp_path / MODEL_FILE).write_bytes(b"no model")
-    refused("expected an ONNX model", tmp_path, "toy", ACTIONS)
+    with pytest.raises(PolicyError, match="expected an ONNX model"):
+        OnnxPolicy(tmp_path, "toy", ACTIONS)
     assert read_onnx_policy_file(tmp_path).preset == "quick"
     (tmp_path / "policy.toml").write_text('settings = ["env.actions=paper"]\n')
     assert read_onnx_policy_file(tmp_path).settings == ("env.actions=paper",)
@@ -148,12 +147,8 @@ def test_a_model_is_bounded_in_memory(tmp_path: Path) -> None:
         helper.make_tensor_value_info(name, TensorProto.FLOAT, 2 * [1 << 20]) for name in ("state_a", "next_state_a")
     ]
     node = helper.make_node("Identity", ["state_a"], ["next_state_a"])
-    refused(
-        "its states have 4398046511104 bytes; expected at most 1073741824",
-        save_model(tmp_path, [node], large[:1], large[1:], {}),
-        "large",
-        ACTIONS,
-    )
+    with pytest.raises(PolicyError, match="its states have 4398046511104 bytes; expected at most 1073741824"):
+        OnnxPolicy(save_model(tmp_path, [node], large[:1], large[1:], {}), "large", ACTIONS)
     node = helper.make_node("ConstantOfShape", ["shape"], ["values"])
     policy = OnnxPolicy(write_step(tmp_path, node, shape=np.array([1 << 17, 1 << 16], np.int64)), "34 GB", 2)
     policy.reset()

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from tests.agents.danger.sights import a_segment, small_config, write_segment
-from tests.support.yardstick import refusing
 from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
@@ -20,8 +19,6 @@ from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core.files import lock_run_folder
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.workers.machines import WorkerPoolSettings
-
-refused_collect_data = refusing(PolicyError, collect_data)
 
 PLANT = (Path(__file__).parents[3] / "examples" / "fwd.toml").read_text()
 
@@ -73,7 +70,8 @@ def test_a_folder_is_added_to_with_more_of_a_seed_and_with_other_seeds(order: Da
 @pytest.mark.parametrize("words", ["collect.follow_share=0.1", "collect.ticks=11", "cameras.0.noise=typical"])
 def test_a_seed_that_was_driven_with_other_settings_is_refused(order: DataOrder, words: str) -> None:
     sha256 = collect_data(order)
-    refused_collect_data(r"seed 1 .*another --seed", replace(order, config=small_config(words), segments=3))
+    with pytest.raises(PolicyError, match=r"seed 1 .*another --seed"):
+        collect_data(replace(order, config=small_config(words), segments=3))
     assert read_data_manifest(order.folder).data_sha256 == sha256
 
 
@@ -86,14 +84,16 @@ def test_a_seed_that_another_wheelchair_drove_is_refused_and_the_same_elsewhere_
     with_plant = replace(order, config=small_config(f"chair.plant={mine}"))
     die_at_second(with_plant)  # so that no data.json says what was driven
     mine.write_text(f"{PLANT}# another one\n")
-    refused_collect_data(r"seed 1 .*another --seed", with_plant)
+    with pytest.raises(PolicyError, match=r"seed 1 .*another --seed"):
+        collect_data(with_plant)
     collect_data(replace(order, config=small_config(f"chair.plant={copy}")))
     assert len(read_data_manifest(order.folder).segments) == 2
 
 
 def test_a_seed_that_another_policy_drove_is_refused(order: DataOrder, tmp_path: Path) -> None:
     collect_data(order)
-    refused_collect_data("another policy", replace(order, policy=str(a_policy(tmp_path))))
+    with pytest.raises(PolicyError, match="another policy"):
+        collect_data(replace(order, policy=str(a_policy(tmp_path))))
 
 
 @pytest.mark.parametrize("words", ["env.actions=disc69", "cameras.0.width_px=40", "cameras.0.pitch_deg=10"])
@@ -119,7 +119,8 @@ def a_policy(folder: Path) -> Path:
 
 def test_a_drive_that_died_goes_on_with_its_own_settings_alone(order: DataOrder) -> None:
     die_at_second(order)
-    refused_collect_data("another --seed", replace(order, config=small_config("cameras.0.width_px=40")))
+    with pytest.raises(PolicyError, match="another --seed"):
+        collect_data(replace(order, config=small_config("cameras.0.width_px=40")))
     collect_data(order)
     assert len(read_data_manifest(order.folder).segments) == 2
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.support.worlds import quick_config
-from tests.support.yardstick import refusing
 from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.town_run import TRACE, RecordOrder, record_town
 from wcsim.config import ChairConfig
@@ -17,8 +16,6 @@ from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.sumo.tools import sumo_home
 from wcsim.towns.sumo.xml_io import read_root
-
-refused = refusing(WcsimError, convert_to_fcd)
 
 XSD = "{http://www.w3.org/2001/XMLSchema}"
 
@@ -98,7 +95,8 @@ def test_elements_and_attributes_are_those_of_sumos_schema(run):
 
 
 def test_what_cannot_be_replayed_is_refused(run, tmp_path):
-    refused(r"no tick of epoch 4; expected --epoch with one of: 0", run / TRACE, tmp_path / "x.xml", epoch=4)
+    with pytest.raises(WcsimError, match=r"no tick of epoch 4; expected --epoch with one of: 0"):
+        convert_to_fcd(run / TRACE, tmp_path / "x.xml", epoch=4)
     old = WorldState(
         epoch=0,
         tick=1,
@@ -111,8 +109,10 @@ def test_what_cannot_be_replayed_is_refused(run, tmp_path):
     with LogWriter(tmp_path / "old", Header(town="o", seed=1, tick_s=0.1, seats=0, fingerprint="f")) as writer:
         writer.append(old)
     assert read_trace_states(tmp_path / "old")[1][0].bodies == ()
-    refused("older version", tmp_path / "old", tmp_path / "x.xml")
+    with pytest.raises(WcsimError, match="older version"):
+        convert_to_fcd(tmp_path / "old", tmp_path / "x.xml")
     chair = with_fields(old, actor_ids=(), actors=np.zeros((0, 8)), plants=np.zeros((1, 15)), commands=np.zeros((1, 2)))
     with LogWriter(tmp_path / "c", Header(town="o", seed=1, tick_s=0.1, seats=1, fingerprint="f")) as writer:
         writer.append(chair)
-    refused("without the sizes of actors and chairs", tmp_path / "c", tmp_path / "x.xml")
+    with pytest.raises(WcsimError, match="without the sizes of actors and chairs"):
+        convert_to_fcd(tmp_path / "c", tmp_path / "x.xml")

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from tests.drive.recording.studies import STUDY, Participant, write_study
-from tests.support.yardstick import refusing
 from wcsim.bridge.replay.replayed import verify
 from wcsim.config import parse_json
 from wcsim.config.study import StudyFile
@@ -16,8 +15,6 @@ from wcsim.drive.recording.study_lead import OpenStudy, _participant_rows, _ship
 from wcsim.drive.recording.study_plan import StepKind, read_rows, table_columns
 from wcsim.errors import ConfigError, DiskFullError, PolicyError, TownError, WcsimError
 from wcsim.log.drive import read_drive
-
-refused_open_study = refusing(ConfigError, open_study)
 
 Begin = Callable[[OpenStudy], Participant]
 
@@ -257,8 +254,10 @@ def test_what_cannot_be_is_refused_before_anybody_drives(
 
 def test_a_study_that_is_not_there_or_another_one_is_refused(corner: Path, tmp_path: Path, begin: Begin) -> None:
     for name in ("nothing", "a" * 5000, "~nobody-is-called-so/study.toml"):
-        refused_open_study("there is no such study; expected assistance", name, 1)
-    refused_open_study("--participant 0: expected 1 to 9999", "assistance", 0)
+        with pytest.raises(ConfigError, match="there is no such study; expected assistance"):
+            open_study(name, 1)
+    with pytest.raises(ConfigError, match="--participant 0: expected 1 to 9999"):
+        open_study("assistance", 0)
     person = begin(opened(corner, tmp_path))
     person.until(StepKind.ASK)
     person.close()
@@ -274,8 +273,10 @@ def test_a_class_that_a_study_names_is_loaded_only_when_it_is_named_again(
     (tmp_path / "stranger.py").write_text("raise RuntimeError('loaded')\n")
     monkeypatch.chdir(tmp_path)
     path = str(write_study(tmp_path, corner, STUDY.replace("pause_s = 5", 'pause_s = 5\npolicy = "stranger:Own"')))
-    refused_open_study("loading it runs its code; if you trust it, name it", path, 1, tmp_path / "out")
-    refused_open_study("says policy = 'stranger:Own'; leave --policy out", path, 1, tmp_path / "out", "follow")
+    with pytest.raises(ConfigError, match="loading it runs its code; if you trust it, name it"):
+        open_study(path, 1, tmp_path / "out")
+    with pytest.raises(ConfigError, match="says policy = 'stranger:Own'; leave --policy out"):
+        open_study(path, 1, tmp_path / "out", "follow")
     with pytest.raises(Exception, match="loaded"):
         open_study(path, 1, tmp_path / "out", "stranger:Own")
 

@@ -12,7 +12,6 @@ from tests.physics.renderer.render_oracle import actor
 from tests.physics.rig import shoot
 from tests.support.plants import plant_state
 from tests.support.samples import USUAL_OUTLINE
-from tests.support.yardstick import refusing
 from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.config import CameraConfig
 from wcsim.core.frames import quaternion_from_ypr
@@ -24,8 +23,6 @@ from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig, FreeCamera
 from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, look_at, mount, pinhole, pose_matrix
 from wcsim.types import ActorKind, ClassId
-
-refused = refusing(ConfigError, CameraRig)
 
 SMALL = CameraConfig(name="front", width_px=80, height_px=60)
 
@@ -185,9 +182,12 @@ def test_the_reference_back_end_is_one_word_in_the_configuration(mesh):
 
 
 def test_a_rig_needs_cameras_and_seats(mesh):
-    refused("at least one", mesh, (), seats=1)
-    refused("at least one", mesh, (SMALL,), seats=0)
-    refused("-1 threads", mesh, (SMALL,), seats=1, threads=-1)
+    with pytest.raises(ConfigError, match="at least one"):
+        CameraRig(mesh, (), seats=1)
+    with pytest.raises(ConfigError, match="at least one"):
+        CameraRig(mesh, (SMALL,), seats=0)
+    with pytest.raises(ConfigError, match="-1 threads"):
+        CameraRig(mesh, (SMALL,), seats=1, threads=-1)
 
 
 def test_a_free_camera_has_its_target_in_the_middle(mesh):

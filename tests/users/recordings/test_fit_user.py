@@ -6,7 +6,6 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from tests.support.yardstick import refusing
 from tests.users.recordings.plane_drives import plane_drive, thinned
 from wcsim.config import resolve
 from wcsim.core.seeding import make_rng
@@ -22,8 +21,6 @@ from wcsim.users.profiles import (
 )
 from wcsim.users.recordings.fit_user import _has_switches, fit_user_to_drives, is_certain_estimate
 from wcsim.users.recordings.hand_series import hand_series_from_drives
-
-refused = refusing(ConfigError, fit_user_to_drives)
 
 BASE = find_builtin_profile("competent")
 FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "away_share": 0.06}  # where a drawn number may be zero
@@ -116,25 +113,21 @@ def test_intents_of_the_model_show_nothing_of_looks_elsewhere(shaking):
 
 def test_drives_that_show_too_little_are_refused(shaking):
     drive = shaking[1]
-    refused("no episode of 5 s", [replace(drive, records=drive.ticks[:30])], BASE)
-    refused(
-        "ticks without an intent",
-        [replace(drive, records=(with_fields(drive.ticks[0], intent=None), *drive.ticks[1:]))],
-        BASE,
-    )
+    with pytest.raises(ConfigError, match="no episode of 5 s"):
+        fit_user_to_drives([replace(drive, records=drive.ticks[:30])], BASE)
+    with pytest.raises(ConfigError, match="ticks without an intent"):
+        fit_user_to_drives([replace(drive, records=(with_fields(drive.ticks[0], intent=None), *drive.ticks[1:]))], BASE)
 
 
 def test_drives_of_other_ticks_or_of_a_chair_that_takes_a_stick_otherwise_are_refused(shaking):
     """Counted together, times are those of the first drive's ticks, and the speed is that of its chair."""
     drive = shaking[1]
     slow = replace(drive, name="slow.drive", header=with_fields(drive.header, tick_s=0.2))
-    refused(r"slow\.drive: was driven with world\.tick_s 0\.2, plane with 0\.1; exp", [drive, slow], BASE)
+    with pytest.raises(ConfigError, match=r"slow\.drive: was driven with world\.tick_s 0\.2, plane with 0\.1; exp"):
+        fit_user_to_drives([drive, slow], BASE)
     dull = resolve("quick", ("chair.deadband=0.4",)).model_dump_json()
-    refused(
-        r"plane: was driven with chair\.deadband 0\.08, .* with 0\.4; expected",
-        [replace(drive, header=with_fields(drive.header, config=dull)), drive],
-        BASE,
-    )
+    with pytest.raises(ConfigError, match=r"plane: was driven with chair\.deadband 0\.08, .* with 0\.4; expected"):
+        fit_user_to_drives([replace(drive, header=with_fields(drive.header, config=dull)), drive], BASE)
 
 
 def at_positions(drive, positions):
@@ -146,11 +139,8 @@ def at_positions(drive, positions):
 
 @pytest.mark.parametrize("positions", [KEYS, SCANNED, [(0.0, 0.0), (0.0, 1.0)]])
 def test_keys_and_the_switches_of_a_page_show_no_hand(shaking, positions):
-    refused(
-        r"took only \d+ positions?.*expected a drive by gamepad",
-        [shaking[1], at_positions(shaking[1], positions)],
-        BASE,
-    )
+    with pytest.raises(ConfigError, match=r"took only \d+ positions?.*expected a drive by gamepad"):
+        fit_user_to_drives([shaking[1], at_positions(shaking[1], positions)], BASE)
 
 
 def test_pushes_to_the_gate_alone_leave_the_hand_of_the_base():
