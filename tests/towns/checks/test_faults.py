@@ -111,7 +111,7 @@ def test_buildings_of_a_file_of_any_name_are_seen(corner_town: Town, tmp_path: P
 @pytest.mark.shared
 def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path, shared: Path) -> None:
     extract = read_extract(shared / "towns" / "leeds.osm.xml.gz", Box(-1.538528, 53.795722, -1.531532, 53.799858))
-    order = ImportOrder(osm=tmp_path, name="x", split="train", out=tmp_path, bbox=extract.box, lefthand=True)
+    order = ImportOrder(map_file=tmp_path, name="x", split="train", out=tmp_path, bbox=extract.box, lefthand=True)
     filter_osm(extract.root)
     (tmp_path / "all.osm.xml").write_bytes(extract.xml())
     whole = _convert_net(order, "all.osm.xml", tmp_path)

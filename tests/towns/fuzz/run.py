@@ -171,7 +171,7 @@ def _import(theirs: Path, run: Path, number: int) -> None:
     from wcsim.towns.importing.importer import ImportOrder, import_town
 
     traffic = float(number % 4 == 0)
-    order = ImportOrder(osm=theirs / "base.osm", name="own", split="train", out=run / "own", traffic=traffic)
+    order = ImportOrder(map_file=theirs / "base.osm", name="own", split="train", out=run / "own", traffic=traffic)
     try:
         import_town(order)
     except WcsimError:

@@ -170,6 +170,6 @@ def test_a_net_without_a_place_cannot_be_lifted(corner_town: Town, tmp_path: Pat
 
 def test_where_rasterio_is_missing_it_is_told_before_a_town_is_built(monkeypatch, tmp_path):
     monkeypatch.setattr("wcsim.errors.find_spec", lambda name: None)
-    order = ImportOrder(osm=tmp_path, name="x", split="test", out=tmp_path / "x", relief=Heights(hill_m=20.0))
+    order = ImportOrder(map_file=tmp_path, name="x", split="test", out=tmp_path / "x", relief=Heights(hill_m=20.0))
     with pytest.raises(TownError, match=r"pip install 'wcsim\[dem\]'"):
         import_town(order)

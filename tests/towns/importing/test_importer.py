@@ -42,7 +42,7 @@ def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ImportOrder:
     monkeypatch.setattr(demand, "TRIAL_S", 20)
     osm = tmp_path / "tiny.osm"
     osm.write_text(tiny_osm())
-    return ImportOrder(osm=osm, name="small", split="test", out=tmp_path / "towns" / "small")
+    return ImportOrder(map_file=osm, name="small", split="test", out=tmp_path / "towns" / "small")
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_an_import_that_is_ended_as_soon_as_its_folder_is_made_leaves_none(
 def test_shipped_net_is_what_its_extract_gives(order: ImportOrder, manhattan_town: Town) -> None:
     osm = manhattan_town.folder / "osm"
     box = Box.of((osm / "bbox").read_text())
-    made = import_town(replace(order, osm=osm / "manhattan.osm.xml.gz", bbox=box, traffic=0.0))
+    made = import_town(replace(order, map_file=osm / "manhattan.osm.xml.gz", bbox=box, traffic=0.0))
     town = made.town
     assert not any("has no bounds" in note for note in made.notes)
     assert read_bytes(town.net) == read_bytes(manhattan_town.net)
@@ -90,7 +90,7 @@ def test_failed_import_leaves_the_old_town_and_no_rubbish(order: ImportOrder, to
     broken = tmp_path / "broken.osm.xml"
     broken.write_text("<osm><way id='1'/></osm>")
     with pytest.raises((SumoError, TownError), match="broken"):
-        import_town(replace(order, osm=broken))
+        import_town(replace(order, map_file=broken))
     assert sorted(path.name for path in order.out.iterdir()) == before
     assert [path.name for path in order.out.parent.iterdir()] == ["small"]
 
@@ -109,10 +109,10 @@ def test_what_a_killed_import_left_is_cleared_and_a_town_moved_aside_comes_back(
 
 def test_roads_without_a_junction_are_a_town_and_a_refusal_names_the_option_for_driveways(order: ImportOrder) -> None:
     text = "\n".join(line for line in tiny_osm().splitlines() if "highway" not in line or '"Street 1"' in line)
-    order.osm.write_text(text, encoding="utf-8")
+    order.map_file.write_text(text, encoding="utf-8")
     road = import_town(replace(order, traffic=0.0)).town
     assert read_net(road.net).lanes(LaneKind.SIDEWALK)
-    order.osm.write_text(text.replace("residential", "service"), encoding="utf-8")
+    order.map_file.write_text(text.replace("residential", "service"), encoding="utf-8")
     with pytest.raises(TownError, match=r"streets; .* --keep-service"):
         import_town(order)
     import_town(replace(order, traffic=0.0, keep_service=True))
@@ -151,7 +151,7 @@ def test_shipped_demand_runs_without_errors_and_never_runs_dry(manhattan_town: T
 def test_traffic_keeps_to_the_side_of_the_country(order: ImportOrder, shared: Path) -> None:
     west, south, east, north = Box.of((shared / "towns" / "leeds.bbox").read_text("utf-8"))
     quarter = Box((west + east) / 2, (south + north) / 2, east, north)
-    made = import_town(replace(order, osm=shared / "towns" / "leeds.osm.xml.gz", bbox=quarter, traffic=0.0))
+    made = import_town(replace(order, map_file=shared / "towns" / "leeds.osm.xml.gz", bbox=quarter, traffic=0.0))
     net = gzip.decompress(made.town.net.read_bytes())
     assert b'lefthand="true"' in net[:2000] and made.side.lefthand
     assert made.walkable_share >= 0.95
@@ -221,10 +221,10 @@ def test_what_an_author_adds_is_noted(town: Town) -> None:
 def test_stages_and_what_is_left_out_are_told(order: ImportOrder) -> None:
     island = '<node id="901" lat="60.00085" lon="25.0005"/><node id="902" lat="60.00055" lon="25.0009"/>'
     island += '<way id="900"><nd ref="901"/><nd ref="902"/><tag k="highway" v="footway"/><tag k="name" v="Lost"/></way>'
-    order.osm.write_text(tiny_osm().replace("</osm>", f"{island}</osm>"))
+    order.map_file.write_text(tiny_osm().replace("</osm>", f"{island}</osm>"))
     stages: list[str] = []
     made = import_town(order, stage=stages.append)
-    assert len(stages) == 4 and str(order.osm) in stages[0]
+    assert len(stages) == 4 and str(order.map_file) in stages[0]
     (lost,) = made.left_out.footways
     assert (lost.id, lost.name, lost.why) == ("900", "Lost", "")
     assert made.left_out.names == () and 35.0 < made.left_out.footways_left_out_m == lost.inside_m < 45.0
@@ -237,7 +237,7 @@ def test_stages_and_what_is_left_out_are_told(order: ImportOrder) -> None:
 
 def test_chairs_drive_on_cycle_paths_where_they_may(order: ImportOrder, built: Path) -> None:
     path = '<way id="90" version="1"><nd ref="1"/><nd ref="12"/><nd ref="23"/><tag k="highway" v="cycleway"/></way>'
-    order.osm.write_text(tiny_osm().replace("<way", f"{path}<way", 1))
+    order.map_file.write_text(tiny_osm().replace("<way", f"{path}<way", 1))
     law = import_town(replace(order, cycle_paths=True, traffic=0.0)).town
     tracks = {lane.id for lane in read_net(law.net).lanes(LaneKind.BIKE)}
     driven = {lane.id for lane in walkable_lanes(read_net(law.net), law.file.chair_ways)}

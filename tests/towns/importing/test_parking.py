@@ -37,7 +37,9 @@ def with_car_parks() -> str:
 def order(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ImportOrder]:
     folder = tmp_path_factory.mktemp("parking")
     (folder / "tiny.osm").write_text(with_car_parks())
-    yield ImportOrder(osm=folder / "tiny.osm", name="lots", split="test", out=folder / "lots", traffic=0.0, parked=0.5)
+    yield ImportOrder(
+        map_file=folder / "tiny.osm", name="lots", split="test", out=folder / "lots", traffic=0.0, parked=0.5
+    )
 
 
 @pytest.fixture(scope="module")

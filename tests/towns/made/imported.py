@@ -13,4 +13,4 @@ def imported(osm: str, folder: Path) -> _Imported:
     (folder / "small.osm").write_text(osm)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demand, "TRIAL_S", 20)
-        return import_town(ImportOrder(osm=folder / "small.osm", name="small", split="test", out=folder / "small"))
+        return import_town(ImportOrder(map_file=folder / "small.osm", name="small", split="test", out=folder / "small"))

@@ -40,7 +40,7 @@ def built(folder: Path, *ways: tuple[int, list[int], Tags]) -> _BuiltNet:
 def net_of(osm: Path) -> _BuiltNet:
     extract, folder = read_extract(osm), osm.parent
     return _build_net(
-        ImportOrder(osm=folder, name="x", split="train", out=folder, bbox=extract.box, lefthand=False),
+        ImportOrder(map_file=folder, name="x", split="train", out=folder, bbox=extract.box, lefthand=False),
         extract.root,
         folder,
     )

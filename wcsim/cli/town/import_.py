@@ -231,7 +231,7 @@ def _convert(options: XodrImportOptions, out: Path) -> TownReport:
     from wcsim.towns.importing.importer import ImportOrder, import_opendrive
 
     order = ImportOrder(
-        osm=options.opendrive,
+        map_file=options.opendrive,
         opendrive=True,
         name=options.name,
         split=options.split,
@@ -273,7 +273,7 @@ def _build(options: OsmImportOptions, out: Path) -> tuple[TownReport, dict[str, 
     # 2. Download the map where there is no file, and build.
     with create_temporary_folder() as folder:
         order = ImportOrder(
-            osm=options.osm or download(_bbox(options.bbox), folder, options.url),
+            map_file=options.osm or download(_bbox(options.bbox), folder, options.url),
             bbox=box,
             name=options.name,
             split=options.split,

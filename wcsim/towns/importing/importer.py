@@ -61,7 +61,7 @@ Stage = Callable[[str], None]  # what begins now, in words
 class ImportOrder:
     """What to import and where to put it."""
 
-    osm: Path  # .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf; .xodr, plain or .gz, for an OpenDRIVE map
+    map_file: Path  # .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf; .xodr, plain or .gz, for an OpenDRIVE map
     opendrive: bool = False
     bbox: Box | None = None  # west, south, east, north; None: all of the extract
     name: str
@@ -258,8 +258,8 @@ def import_town(
     """
     given, order = order.out, replace(order, out=order.out.resolve())
     _check(order)
-    stage(f"reading {order.osm}")
-    extract = read_extract(order.osm, order.bbox)
+    stage(f"reading {order.map_file}")
+    extract = read_extract(order.map_file, order.bbox)
     ordered = Side(lefthand=order.lefthand, why="as ordered") if order.lefthand is not None else None
     side = ordered or side_at(*extract.box.centre)
     order = replace(order, bbox=extract.box, lefthand=side.lefthand)
@@ -267,7 +267,7 @@ def import_town(
         with write_folder_atomically(order.out) as work:
             made = _build(order, extract, side, work, meanwhile, stage)
     except (TownError, SumoError) as error:
-        raise type(error)(f"town {order.name}, made of {order.osm}: {error}") from None
+        raise type(error)(f"town {order.name}, made of {order.map_file}: {error}") from None
     place = given if (given / f"{order.name}.sumocfg").is_file() else order.out  # it may have been this very folder
     return replace(made, town=open_town(place))
 
@@ -283,10 +283,12 @@ def import_opendrive(order: ImportOrder, stage: Stage) -> tuple[Town, tuple[str,
     """
     order = replace(order, out=order.out.resolve())
     _check(order)
-    name, data = order.name, read_bytes(order.osm, MAX_XML_BYTES)
-    root = parse_root(data, escape(order.osm))
+    name, data = order.name, read_bytes(order.map_file, MAX_XML_BYTES)
+    root = parse_root(data, escape(order.map_file))
     if root.tag.rpartition("}")[2] != "OpenDRIVE":
-        raise TownError(f"{order.osm}: is not an OpenDRIVE map (root <{escape(root.tag, 40)}>); expected <OpenDRIVE>")
+        raise TownError(
+            f"{order.map_file}: is not an OpenDRIVE map (root <{escape(root.tag, 40)}>); expected <OpenDRIVE>"
+        )
     stage("building the net")
     try:
         with write_folder_atomically(order.out) as work:
@@ -301,13 +303,13 @@ def import_opendrive(order: ImportOrder, stage: Stage) -> tuple[Town, tuple[str,
             write_scenario(work, name, order.seed, vtypes_text())
             write_demand(work / f"{name}.sumocfg", net, ways, order.seed, order.traffic)
             order = replace(
-                order, source=order.source or f"OpenDRIVE map {order.osm.name}; ask its author for the licence"
+                order, source=order.source or f"OpenDRIVE map {order.map_file.name}; ask its author for the licence"
             )
             notice = _DATA["notice"].format(name=name, source=order.source)
             (work / "LICENSE-DATA").write_text(notice, encoding="utf-8")
             _write_manifest(order, work, net)
     except (TownError, SumoError) as error:
-        raise type(error)(f"town {name}, made of {order.osm}: {error}") from None
+        raise type(error)(f"town {name}, made of {order.map_file}: {error}") from None
     return open_town(order.out), _lost(root, net)
 
 
