@@ -34,6 +34,8 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
     task = TASK
     task_description = TASK_DESCRIPTION
 
+    closed = True  # until the first reset, also where `__init__` raises or never runs
+
     def __init__(
         self,
         town: str = "helsinki",
@@ -85,7 +87,6 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
         refuse_reset_options(options or ())
         seed = validate_seed(seed)
         super().reset(seed=seed)
-        # Otherwise the next close() would leave the world open.
         self.closed = False
         if seed is None:
             firsts = self._chairs.begin_next(self._first_seed)
