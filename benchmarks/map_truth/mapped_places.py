@@ -84,8 +84,6 @@ def count_kerbs(crossings: Crossings, raw: RawMap, ground: Ground, origin_net_m:
     places = list[tuple[str, F64]]()
     for node in raw.nodes:
         called = mapped_kerb(node.tags)
-        if not called:
-            continue
         # A node amid the carriageway speaks of the kerbs at both ends of the crossing there, of none without one.
         crossing = crossings.at(node.p_net_m)
         if not node.on_street:

@@ -49,13 +49,12 @@ def judge_lanes(net: Any, raw: RawMap) -> list[Stretch]:
     """Each lane of a net of sumolib that is for people, or for people and riders, cut where the verdict changes."""
     stretches: list[Stretch] = []
     for edge in net.getEdges(withInternal=False):
-        classes_of = {lane.getID(): frozenset(lane.getPermissions()) for lane in edge.getLanes()}
         for lane in edge.getLanes():
-            classes = classes_of[lane.getID()]
+            classes = set(lane.getPermissions())
             if "pedestrian" not in classes or classes - _WALKERS or len(lane.getShape()) < 2:
                 continue
-            beside = [others for id, others in classes_of.items() if others and id != lane.getID()]
-            by_rails = bool(beside) and all(others <= _TRAINS for others in beside)
+            beside = set[str]().union(*(other.getPermissions() for other in edge.getLanes() if other is not lane))
+            by_rails = bool(beside) and beside <= _TRAINS
 
             # An edge may be made of several ways: each piece of the lane belongs to the nearest.
             ways = [raw.ways[id] for id in (lane.getParam("origId") or "").split() if id in raw.ways]
@@ -63,13 +62,7 @@ def judge_lanes(net: Any, raw: RawMap) -> list[Stretch]:
             pieces = defaultdict(list)
             for ends in pairwise(line.coords):
                 middle = shapely.Point(np.mean(ends, axis=0))
-                distances_m = [way.line.distance(middle) for way in ways]
-                if by_rails:
-                    verdict = RAILS
-                elif not ways:
-                    verdict = UNKNOWN
-                else:
-                    verdict = _verdict(ways[int(np.argmin(distances_m))], middle)
+                verdict = RAILS if by_rails else _verdict(ways, middle)
                 pieces[verdict].append(ends)
             stretches += [
                 Stretch(lane=lane.getID(), verdict=verdict, lines=shapely.MultiLineString(found))
@@ -78,8 +71,11 @@ def judge_lanes(net: Any, raw: RawMap) -> list[Stretch]:
     return stretches
 
 
-def _verdict(way: MapWay, place: shapely.Point) -> str:
-    """What a way says of people who walk at a place beside it, or on it."""
+def _verdict(ways: list[MapWay], place: shapely.Point) -> str:
+    """What the nearest of some ways says of people who walk at a place beside it, or on it."""
+    if not ways:
+        return UNKNOWN
+    way = min(ways, key=lambda each: each.line.distance(place))
     if not way.street:
         if "highway" not in way.tags and way.tags.get("railway") in _RAILWAYS:
             return RAILS
