@@ -19,6 +19,7 @@ WALKERS_WAYS: Final = frozenset(
 )
 """Values of `highway` that are no streets: a lane for people there is the way itself, no pavement beside one."""
 
+_DEGREES: Final = "+proj=longlat +datum=WGS84"
 Tags = dict[str, str]
 
 
@@ -77,7 +78,8 @@ def read_raw_map(path: Path, net: Any) -> RawMap:
 
     nodes = root.findall("node")
     degrees = np.array([(node.attrib["lon"], node.attrib["lat"]) for node in nodes], np.float64).reshape(-1, 2)
-    projected = transform("EPSG:4326", net._location["projParameter"], *degrees.T.tolist())
+    # A string, not a number of the EPSG: PROJ may be without its data, as libsumo points a process to its own.
+    projected = transform(_DEGREES, net._location["projParameter"], *degrees.T.tolist())
     places = np.stack(projected, axis=-1) + net.getLocationOffset()
     place_of = dict(zip((node.attrib["id"] for node in nodes), places, strict=True))
 
