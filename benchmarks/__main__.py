@@ -21,6 +21,7 @@ SCRIPTS = {
     "soak": "SoakOptions",
     "judge": "KerbOptions",
     "sight": "SightOptions",
+    "map_truth": "MapTruthOptions",
 }
 """Each a file of that name in `scripts/` with a `run(options)`, and its class of options."""
 PROGRAM = "python -m benchmarks"
