@@ -52,9 +52,9 @@ ROWS: Final = (
     Row(name="templates: lines", first=0, ceiling=356, count=lambda: measures.text_lines(".jinja", ".j2")),
     Row(name="tools: tokens", first=13_871, ceiling=13_700, count=lambda: measures.tokens("tools")),
     Row(name="examples: tokens", first=2_835, ceiling=6_150, count=lambda: measures.tokens("examples")),
-    Row(name="benchmarks: tokens", first=55_115, ceiling=56_214, count=lambda: measures.tokens("benchmarks")),
-    Row(name="tests: tokens", first=619_290, ceiling=612_000, count=lambda: measures.tokens("tests")),
-    Row(name="docs: words written by hand", first=74_035, ceiling=33_710, count=measures.words_of_docs),
+    Row(name="benchmarks: tokens", first=55_115, ceiling=60_700, count=lambda: measures.tokens("benchmarks")),
+    Row(name="tests: tokens", first=619_290, ceiling=613_500, count=lambda: measures.tokens("tests")),
+    Row(name="docs: words written by hand", first=74_035, ceiling=33_760, count=measures.words_of_docs),
     # The ideas are found by code. Of formats the log's and that of pictures in shared memory; of meters that of an
     # episode's record and the running one of a film; of learners Q-learning and danger networks.
     Row(name="ideas: formats of its own", first=6, ceiling=2, count=lambda: len(measures.formats())),
