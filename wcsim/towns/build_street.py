@@ -26,6 +26,7 @@ from wcsim.towns.ground.relief import fit_relief, on_land
 from wcsim.towns.ground.solid_shapes import Solid, prism
 from wcsim.towns.ground.surfaces import Surfaces, covered, make_surfaces
 from wcsim.towns.ground.tiles import Packed, pack_tiles
+from wcsim.towns.osm.tags import kerb_marks
 from wcsim.towns.scenario.files import with_included
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import read_net
@@ -56,7 +57,7 @@ def build_street(town: Town, at: Callable[[str], object] = lambda part: None) ->
     if surfaces.low.is_empty and surfaces.pavement.is_empty:
         raise TownError(f"{town.net}: no lane covers any ground; expected shapes with a length: build it again")
     at("ground and kerbs")
-    kerbing = make_kerbing(surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m, items)
+    kerbing = make_kerbing(surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m, kerb_marks(items))
     ground = build_ground(surfaces, kerbing, relief)
     walls = kerb_walls(ground)
     placed = author_things(items, surfaces.hull)
@@ -66,7 +67,8 @@ def build_street(town: Town, at: Callable[[str], object] = lambda part: None) ->
     blocks = shapely.union_all([building.outline for building in buildings])
     solids = shapely.union_all([blocks, *(thing.footprint for thing in placed)])
     space, phases = free_space(walkable, _kerb_lines(walls[0]), solids), all_phases(net, additional)
-    walk = build_walk_graph(net, space, town.file.chair_ways, phases)
+    barred = [item.points_W_m for item in items if item.group == "chair_way" and len(item.points_W_m) > 1]
+    walk = build_walk_graph(net, space, town.file.chair_ways, phases, barred)
     lines = shapely.MultiLineString([edge.points_W_m for edge in walk.edges])
     low = buffered(surfaces.low, 0.1)
     place = FreeGround(low=low, solids=blocks.buffer(0.05), lines=lines, hull=surfaces.hull)

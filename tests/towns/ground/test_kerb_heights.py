@@ -9,6 +9,7 @@ from tests.towns.made.nets import DRIVE, WALK, WAYS, assert_sound, edge, lane, w
 from wcsim.towns.ground.kerb_heights import STEEPEST, Kerbing, make_kerbing
 from wcsim.towns.ground.mesh import build_ground, kerb_walls
 from wcsim.towns.ground.surfaces import make_surfaces
+from wcsim.towns.osm.tags import kerb_marks
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import Net
 from wcsim.towns.walking.graph import build_walk_graph, free_space
@@ -17,10 +18,10 @@ from wcsim.types import WayKind
 TOP_M = 0.12
 
 
-def mark(kerb: str, *places: tuple[float, float], group: str = "kerb") -> Item:
+def mark(kerb: str, *places: tuple[float, float], group: str = "kerb", **more: str) -> Item:
     """A kerb as polyconvert writes it from OpenStreetMap."""
-    tags = {"kerb": kerb, "barrier": "kerb"}
-    detail = kerb if group == "kerb" else "kerb"
+    tags = {"kerb": kerb, "barrier": "kerb"} | {key.replace("_", ":"): text for key, text in more.items()}
+    detail = "kerb" if group == "barrier" else kerb
     return Item(id="k", kind="k", detail=detail, points_W_m=np.array(places), filled=False, tags=tags, group=group)
 
 
@@ -36,7 +37,7 @@ def street(tmp_path: Path) -> Net:
 
 
 def kerbs_at(net: Net, *items: Item, drop_m: float = 0.0) -> Kerbing:
-    return make_kerbing(make_surfaces(net, WAYS), TOP_M, drop_m, items)
+    return make_kerbing(make_surfaces(net, WAYS), TOP_M, drop_m, kerb_marks(items))
 
 
 def height_m(kerbing: Kerbing, *places: tuple[float, float]) -> list[float]:
@@ -57,11 +58,38 @@ def test_a_mapped_kerb_at_a_crossing_counts_more(street: Net, kerb: str, lip_m: 
     assert height_m(marked, SOUTH, NORTH) == [lip_m, 0.01]
 
 
-def test_the_nearest_mark_counts_and_a_raised_one_only_when_it_is_near(street: Net) -> None:
+def test_the_nearest_mark_counts_and_a_raised_one_only_when_it_is_near_or_ahead(street: Net) -> None:
     both = (mark("raised", (30.0, -2.2)), mark("flush", (30.0, -2.9)))
     assert height_m(kerbs_at(street, *both, drop_m=0.01), SOUTH) == [0.0]
-    assert height_m(kerbs_at(street, mark("raised", (30.0, -0.9))), SOUTH) == [0.0]
+    assert height_m(kerbs_at(street, mark("raised", (30.0, -0.9))), SOUTH) == [TOP_M]
+    assert height_m(kerbs_at(street, mark("raised", (34.0, -4.0))), SOUTH) == [0.0]
     assert height_m(kerbs_at(street, mark("lowered", (30.0, -0.9))), SOUTH) == [0.02]
+
+
+def test_kerbs_of_a_crossing_are_at_both_its_ends_and_a_kerb_beside_it_counts_more(street: Net) -> None:
+    raised = mark("raised", (30.0, 0.3), highway="crossing")
+    assert height_m(kerbs_at(street, raised), SOUTH, NORTH) == [TOP_M, TOP_M]
+    assert height_m(kerbs_at(street, raised, mark("flush", (30.0, 3.4))), SOUTH, NORTH) == [TOP_M, 0.0]
+
+
+@pytest.mark.parametrize("told, lip_m", [("4 cm", 0.04), ("0.12", TOP_M), ("0.4 m", TOP_M), ("low", 0.02)])
+def test_heights_of_kerbs_count_more_than_words(street: Net, told: str, lip_m: float) -> None:
+    there = (30.0, -3.0)
+    assert height_m(kerbs_at(street, mark("lowered", there, kerb_height=told)), SOUTH) == [lip_m]
+    assert height_m(kerbs_at(street, mark("lowered", there, group="barrier", height=told)), SOUTH) == [lip_m]
+
+
+@pytest.mark.parametrize("side, ways_m", [("kerb_left", (0.0, 60.0)), ("kerb_right", (60.0, 0.0))])
+def test_the_side_of_a_street_has_its_kerb_and_crossings_their_own(
+    street: Net, side: str, ways_m: tuple[float, float]
+) -> None:
+    line = [(x_m, 0.4) for x_m in ways_m]
+    low = kerbs_at(street, mark("flush", *line, group=side), drop_m=0.03)
+    assert height_m(low, NORTH, AWAY, SOUTH, (10.0, -3.2)) == [0.0, 0.0, 0.03, TOP_M]
+    high = kerbs_at(street, mark("raised", *line, group=side))
+    assert height_m(high, NORTH, SOUTH) == [TOP_M, 0.0]
+    own = kerbs_at(street, mark("raised", *line, group=side), mark("lowered", (30.0, 0.3), highway="crossing"))
+    assert height_m(own, NORTH, SOUTH) == [0.02, 0.02]
 
 
 def test_kerbs_are_lowered_where_they_are_mapped_so_away_from_crossings(street: Net) -> None:
@@ -82,7 +110,7 @@ def test_what_is_mapped_twice_is_one_kerb(street: Net) -> None:
 def test_ramps_are_never_steeper_than_one_in_twelve_where_they_meet(street: Net) -> None:
     marks = [mark("flush", (x, 3.2)) for x in (26.0, 34.5, 36.4)] + [mark("lowered", (27.3, 3.3), (24.0, 3.3))]
     surfaces = make_surfaces(street, WAYS)
-    ground = build_ground(surfaces, make_kerbing(surfaces, TOP_M, 0.0, marks))
+    ground = build_ground(surfaces, make_kerbing(surfaces, TOP_M, 0.0, kerb_marks(marks)))
     high = ground.vertices_W_m[ground.faces[~ground.low]]
     assert steepest(high) <= 1.02 * STEEPEST
 

@@ -104,7 +104,7 @@ class Cures:
             ]
             options += ["--crossings.guess.speed-threshold", str(fastest_mps), "--offset.disable-normalization"]
             options += ["--no-internal-links", "false"]  # crossings lie on such; netconvert gives none to a net without
-            options += by_file("sidewalks.guess.exclude", bare, folder / "unpaved.netccfg") if bare else []
+            options += by_file({"sidewalks.guess.exclude": bare}, folder / "unpaved.netccfg")
             run = run_tool("netconvert", [*options, "--xml-validation", "never"], folder, _LIMITS)
             if run.returncode or not made.is_file():
                 raise SumoError(f"{path.name}: cannot be given pavements: {run.reason()}; repair it in netedit")

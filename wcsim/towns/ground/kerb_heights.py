@@ -1,15 +1,15 @@
 """How high kerbs stand, and where they are lowered: at crossings, and where OpenStreetMap says so."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
+import shapely.affinity
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.towns.ground.plane_geometry import Patches, buffered
 from wcsim.towns.ground.surfaces import GRID_M, Surfaces
-from wcsim.towns.sumo.additional import Item
 from wcsim.types import F64
 
 _RAMP_RUN = 12.6  # metres of ramp for one metre of height: 1:12 also where a ring cuts a corner
@@ -17,9 +17,21 @@ STEEPEST = 1.0 / 12.0
 _RING_CHORD = 0.96  # the chords of a ring come this close to the middle of its arc
 NEAR_M = 1.5  # a kerb that is mapped this far from ours is the same one
 _AT_CROSSING_M = 3.0  # ... at a crossing, where there is no other: SUMO's roads are not as wide as the real ones
+_AHEAD_M = 0.2  # from the corners of the mouth of a crossing lies what is ahead of it
 HALF_WIDTH_M = 0.75  # of a lowered place that is mapped as a point
-RAISED = -1.0
-_LIP_M = {"flush": 0.0, "lowered": 0.02, "rolled": 0.03, "sloped": 0.03, "raised": RAISED, "regular": RAISED}
+_NODE_M = 12.0  # at most from the node of a crossing to its kerbs
+_ACROSS_M = 15.0  # from the middle of a street to its kerb
+_EVERY_M = 2.0  # along a street its kerb is looked for
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KerbMark:
+    """A kerb of a map."""
+
+    line: BaseGeometry  # a point or a line, in W
+    height_m: float  # infinite: raised, as high as the town's
+    side: int = 0  # 0: it lies there; 1 or -1: it is the left or right one of a street whose middle is the line
+    crossing: bool = False  # the point is a crossing, with a kerb at both its ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +65,7 @@ class Kerbing:
         return rounded
 
 
-def make_kerbing(surfaces: Surfaces, top_m: float, drop_m: float, items: Iterable[Item] = ()) -> Kerbing:
+def make_kerbing(surfaces: Surfaces, top_m: float, drop_m: float, marks: Collection[KerbMark] = ()) -> Kerbing:
     """Kerbs are lowered where the edge of a crossing touches pavement, and where they are mapped as lowered.
 
     A crossing whose kerb is mapped as raised keeps it.
@@ -61,11 +73,29 @@ def make_kerbing(surfaces: Surfaces, top_m: float, drop_m: float, items: Iterabl
     bank = buffered(surfaces.pavement, 2 * GRID_M)
     edge = _lines(surfaces.crossing.boundary.intersection(bank))
     mouths = _lines(shapely.line_merge(shapely.MultiLineString(edge)))
-    marks = _marks(items)
-    lips_m = _nearest_lips(mouths, marks, drop_m)
+    edges, banks = Patches(surfaces.low.boundary), Patches(bank)
+
+    def kerb_near(area: BaseGeometry) -> BaseGeometry:
+        return edges.near(area.bounds).intersection(banks.near(area.bounds))
+
+    sides = [
+        (shapely.MultiLineString(_lines(_along(mark, kerb_near(mark.line.buffer(_ACROSS_M))))), mark.height_m)
+        for mark in marks
+        if mark.side
+    ]
+    lips_m = _lips_m(mouths, sides, marks, top_m, drop_m)
     groups: dict[float, list[BaseGeometry]] = {}
-    for line, lip_m in [*zip(mouths, lips_m, strict=True), *_elsewhere(surfaces, bank, marks)]:
-        if RAISED < lip_m < top_m:
+    elsewhere = [(line, lip_m) for lines, lip_m in sides for line in lines.geoms]
+    for mark in marks:  # stretches of kerb between road and pavement
+        if mark.side or mark.crossing or mark.height_m >= top_m:
+            continue
+        near = mark.line.buffer(NEAR_M)
+        kerb = kerb_near(near)
+        if mark.line.geom_type == "Point" and not kerb.is_empty and shapely.dwithin(kerb, mark.line, NEAR_M):
+            near = shapely.shortest_line(kerb, mark.line).interpolate(0.0).buffer(HALF_WIDTH_M)
+        elsewhere += [(line, mark.height_m) for line in _lines(kerb.intersection(near))]
+    for line, lip_m in [*zip(mouths, lips_m, strict=True), *elsewhere]:
+        if lip_m < top_m:
             groups.setdefault(lip_m, []).append(line)
     lowered = tuple(
         _Lowered(
@@ -79,57 +109,61 @@ def make_kerbing(surfaces: Surfaces, top_m: float, drop_m: float, items: Iterabl
     return Kerbing(top_m=top_m, lowered=lowered)
 
 
-def _marks(items: Iterable[Item]) -> list[tuple[BaseGeometry, float]]:
-    """Places and heights of all kerbs that are mapped; many are there twice, as a barrier and as a kerb."""
-    found: dict[bytes, tuple[BaseGeometry, float]] = {}
-    for item in items:
-        lip_m = _lip_m(item)
-        if lip_m is not None and len(item.points_W_m):
-            points = item.points_W_m
-            mark = shapely.LineString(points) if len(points) > 1 else shapely.Point(points[0])
-            found.setdefault(points.tobytes(), (mark, lip_m))
-    return list(found.values())
+def _along(mark: KerbMark, kerb: BaseGeometry) -> BaseGeometry:
+    """The kerb on one side of the middle line of a street: what is met first on the way there."""
+    line = mark.line if mark.side > 0 else mark.line.reverse()
+    if line.geom_type != "LineString" or kerb.is_empty:
+        return shapely.MultiLineString()
+    at_m = np.arange(0.5 * _EVERY_M, max(line.length, _EVERY_M), _EVERY_M)
+    here, ahead = (shapely.get_coordinates(shapely.line_interpolate_point(line, at_m + step)) for step in (-0.1, 0.1))
+    along = (ahead - here) / np.maximum(np.linalg.norm(ahead - here, axis=1, keepdims=True), 1e-9)
+    rays = shapely.linestrings(
+        np.stack([here, here + _ACROSS_M * np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
+    )
+    hits = shapely.intersection(rays, kerb)
+    first = shapely.get_point(shapely.shortest_line(hits, shapely.points(here)), 0)  # none where nothing is met
+    return kerb.intersection(shapely.union_all(first).buffer(0.6 * _EVERY_M))
 
 
-def _lip_m(item: Item) -> float | None:
-    """Height of a mapped kerb, `RAISED` for one that is not lowered, or None for what is no kerb."""
-    if item.group == "kerb":
-        return _LIP_M.get(item.detail)
-    if item.group == "barrier" and item.detail == "kerb":
-        return _LIP_M.get(item.tags.get("kerb", ""))
-    return None
+def _lips_m(
+    mouths: list[BaseGeometry],
+    sides: list[tuple[BaseGeometry, float]],
+    marks: Iterable[KerbMark],
+    top_m: float,
+    drop_m: float,
+) -> list[float]:
+    """Height of the kerb at each mouth of a crossing.
 
-
-def _nearest_lips(mouths: list[BaseGeometry], marks: list[tuple[BaseGeometry, float]], drop_m: float) -> list[float]:
-    """Height of the kerb at each mouth of a crossing: as its nearest mark says, else the town's own."""
+    What is mapped nearest decides: a kerb beside it, then the crossing's own, then the street's, then the town's.
+    """
     lips_m = [drop_m] * len(mouths)
-    if marks and mouths:
-        tree = shapely.STRtree([mark for mark, _ in marks])
-        (which, mark), far_m = tree.query_nearest(
+    tree = shapely.STRtree(mouths)
+    for lines, lip_m in sides:
+        for number in tree.query(lines, predicate="dwithin", distance=NEAR_M).tolist():
+            lips_m[number] = lip_m
+    for mark in marks:
+        if not mark.crossing or mark.line.geom_type != "Point":
+            continue
+        for number in tree.query_nearest(mark.line, max_distance=_NODE_M, all_matches=False).tolist():
+            # The other end lies as far on the other side.
+            end = shapely.shortest_line(mouths[number], mark.line)
+            other = shapely.affinity.rotate(end, 180.0, origin=mark.line).interpolate(0.0)
+            reach_m = max(_AT_CROSSING_M, end.length)
+            opposite = tree.query_nearest(other, max_distance=reach_m, all_matches=False).tolist()
+            for each in (number, *opposite):
+                lips_m[each] = mark.height_m
+    near = [mark for mark in marks if not mark.side and not mark.crossing]
+    if near and mouths:
+        (which, found), far_m = shapely.STRtree([mark.line for mark in near]).query_nearest(
             mouths, max_distance=_AT_CROSSING_M, return_distance=True, all_matches=False
         )
-        for i, k, gap_m in zip(which.tolist(), mark.tolist(), far_m.tolist(), strict=True):
-            if gap_m <= NEAR_M or marks[k][1] != RAISED:
-                lips_m[i] = marks[k][1]
+        for i, k, gap_m in zip(which.tolist(), found.tolist(), far_m.tolist(), strict=True):
+            # A raised kerb that lies farther away to the side is that of the street.
+            along_m = mouths[i].project(shapely.shortest_line(mouths[i], near[k].line).interpolate(0.0))
+            ahead = _AHEAD_M < along_m < mouths[i].length - _AHEAD_M
+            if gap_m <= NEAR_M or ahead or near[k].height_m < top_m:
+                lips_m[i] = near[k].height_m
     return lips_m
-
-
-def _elsewhere(
-    surfaces: Surfaces, bank: BaseGeometry, marks: list[tuple[BaseGeometry, float]]
-) -> list[tuple[BaseGeometry, float]]:
-    """Stretches of kerb between road and pavement that are mapped as lowered."""
-    lowered = [(mark, lip_m) for mark, lip_m in marks if lip_m != RAISED]
-    if not lowered:
-        return []
-    edges, banks = Patches(surfaces.low.boundary), Patches(bank)
-    found: list[tuple[BaseGeometry, float]] = []
-    for mark, lip_m in lowered:
-        near = mark.buffer(NEAR_M)
-        edge = edges.near(near.bounds).intersection(banks.near(near.bounds))
-        if mark.geom_type == "Point" and not edge.is_empty and shapely.dwithin(edge, mark, NEAR_M):
-            near = shapely.shortest_line(edge, mark).interpolate(0.0).buffer(HALF_WIDTH_M)
-        found += [(line, lip_m) for line in _lines(edge.intersection(near))]
-    return found
 
 
 def _lines(geometry: BaseGeometry) -> list[BaseGeometry]:

@@ -23,7 +23,17 @@ from wcsim.towns.importing.demand import CLASSES, Way, build_ways, vtypes_text, 
 from wcsim.towns.importing.elevation import Heights, lift_net, make_dem
 from wcsim.towns.importing.folder_texts import check_place, check_words, town_toml_text, write_scenario
 from wcsim.towns.importing.map_marks import MapMarks, find_parking, map_marks
-from wcsim.towns.osm.clean import LeftOut, count_inside, cut_bridges, filter_osm, map_ways, strip_orphans, wrongly_paved
+from wcsim.towns.importing.one_crossing import drop_crossings
+from wcsim.towns.osm.clean import (
+    LeftOut,
+    count_inside,
+    cut_bridges,
+    denied_crossings,
+    edge_lists,
+    filter_osm,
+    map_ways,
+    strip_orphans,
+)
 from wcsim.towns.osm.read import Box, Extract, Side, read_extract, side_at
 from wcsim.towns.scenario.town import CYCLE_PATHS, Town, chair_ways, hash_files, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
@@ -171,7 +181,7 @@ def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
         TownError: the area has no streets, or nothing that can be walked on.
         SumoError: netconvert failed.
     """
-    filter_osm(root)
+    filter_osm(root, bool(order.lefthand))
     bridges = cut_bridges(root, order.keep_service)
     net, share = _hanging_together(order, root, folder)
     walkable = {edge.id for edge in net.edges if any(lane.permits("pedestrian") for lane in edge.lanes)}
@@ -220,11 +230,12 @@ def _converted(order: ImportOrder, root: Element, folder: Path, dropped: frozens
     root[:] = [item for item in root if item.tag != "way" or item.get("id", "").lstrip("-") not in dropped]
     strip_orphans(root)
     (folder / EXTRACT).write_bytes(xml_bytes(root))
-    net = read_net(_convert_net(order, EXTRACT, folder))
-    if paved := wrongly_paved(net, folder / f"{order.name}.net.xml", root):
-        config = folder / "unpaved.netccfg"
-        net = read_net(_convert_net(order, EXTRACT, folder, by_file("sidewalks.guess.exclude", paved, config)))
-        config.unlink()
+    config = folder / "edges.netccfg"
+    place = _convert_net(order, EXTRACT, folder, by_file(edge_lists(root), config))
+    _convert_net(order, EXTRACT, folder, by_file(edge_lists(root, read_net(place), place), config))
+    config.unlink()
+    drop_crossings(place, denied_crossings(root))
+    net = read_net(place)
     if not net.lanes(LaneKind.WALKINGAREA) and not net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED):
         raise _without("pavements", order)
     return net

@@ -4,6 +4,7 @@ Parked cars are in SUMO parking areas on the car parks that OpenStreetMap maps, 
 only made where nobody drives or walks: off the carriageway, the pavements, the crossings and the buildings.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from wcsim.towns.furniture.road_marks import GROUP, KIND, crossing_lines
 from wcsim.towns.ground.plane_geometry import yaw_of
 from wcsim.towns.ground.solid_shapes import rectangle
 from wcsim.towns.ground.surfaces import NOT_ON_GROUND, ground_of
+from wcsim.towns.osm.tags import meanings
 from wcsim.towns.sumo.net import Edge, Lane, LaneKind, Net, points
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
@@ -30,7 +32,6 @@ _STOP_M = 14.0  # a bus, and a little
 _POLE_M = 12.0  # from a lane to the pole beside it
 _ON_LANE_M = 1.0  # so near to its middle a pole stands on the lane
 _REACH_M = 12.0  # from a crossing of a map to the one that it is in the net
-_PLAIN = frozenset(("unmarked", "no", "informal"))
 _SQUARES = ("place.square", "highway.pedestrian")
 _SPACE_M = (5.0, 2.5)  # across the way that leads to it: length and width
 _PARALLEL_M = (5.6, 2.2)  # along it
@@ -73,15 +74,21 @@ def map_marks(net: Net, poly: Path, ground: Path) -> MapMarks:
 
 
 def _unpainted(net: Net, marks: list[Element]) -> list[Lane]:
-    """The crossings of a net that are neither the nearest one to a painted crossing of the map nor at a signal."""
+    """The crossings of a net without paint: their nearest mark says so, or there is neither a mark nor a signal.
+
+    A mark is that of the crossing nearest to it.
+    """
     lanes, tree = crossing_lines(net)
-    painted = net.signalled()
+    painted = {edge_id: (math.inf, True) for edge_id in net.signalled()}
     for mark in marks if lanes else ():
-        tags = _tags(mark)  # painted unless the map says that it is not
-        if tags.get("crossing") not in _PLAIN and tags.get("crossing:markings", "yes") != "no":
-            near = tree.query_nearest(shapely.Point(_place(mark)), max_distance=_REACH_M, all_matches=False)
-            painted |= {lanes[index].edge_id for index in near.tolist()}
-    return [lane for lane in lanes if lane.edge_id not in painted]
+        paint = meanings("crossings", _tags(mark)).get("paint") != "no"
+        near, far_m = tree.query_nearest(
+            shapely.Point(_place(mark)), max_distance=_REACH_M, return_distance=True, all_matches=False
+        )
+        for index, gap_m in zip(near.tolist(), far_m.tolist(), strict=True):
+            edge_id = lanes[index].edge_id
+            painted[edge_id] = min(painted.get(edge_id, (math.inf, False)), (gap_m, paint))
+    return [lane for lane in lanes if not painted.get(lane.edge_id, (0.0, False))[1]]
 
 
 def _unmarked_point(lane: Lane) -> str:

@@ -6,8 +6,10 @@ Bridges over other streets: they are removed. A town has one level, on which the
 way stays, whatever it is, except a railway under a street: no trains run in imported towns. Bridges over water, or over
 nothing, stay as well.
 
-Pavements: motorways, streets closed to walkers, and streets that have none by the map. netconvert guesses pavements by
-speed alone, and crossings wherever two pavements face each other across a slow street.
+Motorways: they are made fast. netconvert guesses crossings wherever two pavements face each other across a slow street.
+
+Ways on foot: what `tags.toml` makes of them is put into words that SUMO's tools read. netconvert guesses pavements by
+speed alone, beside tracks and where the map denies them, so each is checked.
 
 Buildings: courtyards and parts are put into tags that polyconvert keeps. polyconvert 1.28 gives the tags of a
 multipolygon to its inner ways as well, so a courtyard would become a building; and it knows no key building:part. Both
@@ -34,6 +36,7 @@ import shapely
 from wcsim.core.frames import deg2rad
 from wcsim.core.reading import join_names, read_module_toml
 from wcsim.towns.osm.read import Box
+from wcsim.towns.osm.tags import meanings
 from wcsim.towns.sumo.net import LaneKind, Net
 from wcsim.towns.walking.islands import osm_ways_by_edge
 from wcsim.types import F64
@@ -77,24 +80,32 @@ _NUMBERS = re.compile(r"^(lanes|width|est_width|layer|maxspeed|((cycleway|sidewa
 _NUMBER = re.compile(r"^[+-]?\d{1,4}([.,]\d+)?\s*[a-z/'\"]*$")
 
 
-def filter_osm(root: Element) -> None:
-    """Drop ways that are not at street level, and the crossing tag of nodes that lie on no street; changes `root`."""
+def filter_osm(root: Element, lefthand: bool = False) -> None:
+    """Drop ways that are not at street level, and the crossing tag of nodes that lie on no street; changes `root`.
+
+    Traffic may keep to the left. Tags `pavement_*`, `chair_way` and `kerb_*` are added; polyconvert passes on the last.
+    """
     root[:] = [item for item in root if item.tag != "way" or not _is_hidden(_read_tags(item))]
     for item in (*root.iterfind("way"), *root.iterfind("node")):
         item[:] = [tag for tag in item if tag.tag != "tag" or not _is_senseless(tag.get("k", ""), tag.get("v", ""))]
     strip_orphans(root)
     _mark_buildings(root)
     _quicken_motorways(root)
+    _mark_ways(root, lefthand)
 
 
 def strip_orphans(root: Element) -> None:
-    """Take the crossing tag off nodes that lie on no street: it crashes netconvert 1.28; changes `root`."""
+    """Take the crossing tag off nodes that lie on no street, where it crashes netconvert 1.28, or are no crossings.
+
+    Changes `root`.
+    """
     on_street = {
         node.get("ref")
         for way in root.iterfind("way")
         if any(item.get("k") == "highway" for item in way.iterfind("tag"))
         for node in way.iterfind("nd")
     }
+    on_street -= set(denied_crossings(root))
     for node in root.iterfind("node"):
         if node.get("id") not in on_street:
             node[:] = [tag for tag in node if (tag.get("k"), tag.get("v")) != ("highway", "crossing")]
@@ -153,26 +164,72 @@ def _quicken_motorways(root: Element) -> None:
                 tag.set("v", str(_SLOWEST_KMH))
 
 
-def wrongly_paved(net: Net, net_path: Path, root: Element) -> tuple[str, ...]:
-    """Edges of a net that have a pavement although all ways of its extract that they were made of have none; sorted."""
-    unpaved = (way for way in root.iterfind("way") if _is_unpaved(_read_tags(way)))
-    ways = frozenset(way.get("id", "").lstrip("-") for way in unpaved)
-    if not ways:
-        return ()
-    made_of = osm_ways_by_edge(net_path)
-    paved = (edge.id for edge in net.edges if edge.has(LaneKind.SIDEWALK))
-    return tuple(sorted(edge for edge in paved if made_of.get(edge) and ways.issuperset(made_of[edge])))
+def _mark_ways(root: Element, lefthand: bool) -> None:
+    """Put pavements, crossings, kerbs and ways on foot into the words of SUMO's tools; changes `root`."""
+    for way in root.iterfind("way"):
+        tags = _read_tags(way)
+        if "highway" not in tags and "railway" not in tags:
+            continue
+        words = {key: "" for key in tags if key.startswith("sidewalk")}
+        pavements = meanings("streets", tags)
+        words |= {f"pavement_{side}": told for side, told in pavements.items()}
+        if mapped := [side for side, told in pavements.items() if told == "paved"]:
+            # netconvert calls the side of those who drive along the way the right.
+            named = {"left": "right", "right": "left"}[mapped[0]] if lefthand else mapped[0]
+            words["sidewalk"] = "both" if len(mapped) == 2 else named
+        elif "bare" in pavements.values():
+            words["sidewalk"] = "no"  # else it takes foot=yes for pavements; a guess comes later
+        for side in ("left", "right"):
+            words[f"kerb_{side}"] = tags.get(f"kerb:{side}", tags.get("kerb:both", ""))
+        if tags.get("highway") in _TAGS["on_foot"]:
+            means = meanings("footways", tags)
+            words |= {"chair_way": "no"} if means.get("chairs") == "no" else {}
+            words |= {"highway": "footway"} if tags["highway"] == "steps" and "steps" in means else {}
+        way[:] = [tag for tag in way if tag.tag != "tag" or tag.get("k") not in words]
+        for key, word in words.items():
+            if word:
+                SubElement(way, "tag", {"k": key, "v": word})
+
+
+def denied_crossings(root: Element) -> list[str]:
+    """The nodes at which the map says that there is no crossing."""
+    found = [node for node in root.iterfind("node") if meanings("crossings", _read_tags(node)).get("built") == "no"]
+    return [node.get("id", "") for node in found]
+
+
+def edge_lists(root: Element, net: Net | None = None, net_path: Path = Path()) -> dict[str, list[str]]:
+    """Lists of edges for options of netconvert, by option.
+
+    Streets with a crossing on them are not joined there. Of the edges of a net that it made, no pavement is guessed
+    beside those that the map denies one, for any of the ways that they were made of.
+    """
+    ways = {way.get("id", "").lstrip("-"): way for way in root.iterfind("way")}
+    crossings = {node.get("id") for node in root.iterfind("node") if _read_tags(node).get("highway") == "crossing"}
+    joined: list[str] = []
+    for way in ways.values():
+        refs = [nd.get("ref") for nd in way.iterfind("nd")]
+        if {"highway", "pavement_left"} <= _read_tags(way).keys() and not crossings.isdisjoint(refs):
+            numbers = ["", *(f"#{number}" for number in range(len(refs)))]
+            joined += [f"{sign}{way.get('id')}{number}" for sign in ("", "-") for number in numbers]
+    denied: set[str] = set()
+    if net is not None:
+        places, made_of = _places(root), osm_ways_by_edge(net_path)
+        for edge in [edge for edge in net.streets if edge.has(LaneKind.SIDEWALK)]:
+            named = edge.id.partition("#")[0]
+            for way in (ways[way_id] for way_id in made_of[edge.id] if way_id in ways):
+                along = named == way.get("id")
+                if named not in (way.get("id"), f"-{way.get('id')}"):  # it was joined to the way that gives the name
+                    ends = [places[nd.get("ref", "")] for nd in way.iterfind("nd") if nd.get("ref") in places]
+                    step_m = edge.lanes[0].points_m[-1] - edge.lanes[0].points_m[0]
+                    along = bool(np.dot(np.subtract(ends[-1], ends[0]), step_m) > 0.0)
+                side = "right" if along != net.lefthand else "left"
+                if _read_tags(way).get(f"pavement_{side}", "bare") == "bare":
+                    denied.add(edge.id)
+    return {"geometry.remove.keep-edges.explicit": joined, "sidewalks.guess.exclude": sorted(denied)}
 
 
 def _is_motorway(tag: dict[str, str]) -> bool:
     return tag.get("highway") == "motorway" or ("highway" in tag and tag.get("motorroad") == "yes")
-
-
-def _is_unpaved(tag: dict[str, str]) -> bool:
-    if "highway" not in tag:
-        return False
-    barred = _is_motorway(tag) or tag["highway"] == "motorway_link" or tag.get("foot") == "no"
-    return barred or tag.get("sidewalk") in _TAGS["none"] or tag.get("sidewalk:both") in _TAGS["none"]
 
 
 def _kmh(text: str) -> float:

@@ -1,19 +1,33 @@
-"""What OpenStreetMap's tags say about being on the ground, below it, above it, or indoors, and lengths in them."""
+"""What OpenStreetMap's tags say about being on the ground, below it, above it, or indoors, and lengths in them.
+
+What becomes of the tags of pavements, crossings, kerbs and footways is a table, `tags.toml`.
+"""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import shapely
+
+from wcsim.core.reading import read_module_toml
+from wcsim.towns.ground.kerb_heights import KerbMark
+from wcsim.towns.sumo.additional import Item
 
 _FOOT_M = 0.3048
+_UNIT_M = {"cm": 0.01, "ft": _FOOT_M, "feet": _FOOT_M}
 _INSIDE = ("underground", "indoor", "roof", "rooftop", "overhead", "overground", "kiosk")
 _NO = ("", "no")
 STOREY_M = 3.2
+_CONDITION = re.compile(r"([\w:]+)([=<>])(\S+)")
+_SIDES = {"kerb_left": 1, "kerb_right": -1, "kerb": 0, "barrier": 0}
 
 
 def metres(text: str) -> float | None:
     """A length in OpenStreetMap's spelling, or None; of several the largest.
 
-    >>> metres("12.5 m"), metres("40 ft"), metres("3;4,5"), metres("12'"), metres("about ten")
-    (12.5, 12.192, 4.5, 3.6576, None)
+    >>> metres("12.5 m"), metres("4 cm"), metres("40 ft"), metres("3;4,5"), metres("12'"), metres("about ten")
+    (12.5, 0.04, 12.192, 4.5, 3.6576, None)
     """
     known = [value for value in map(_one, text.split(";")) if value is not None]
     return max(known) if known else None
@@ -24,10 +38,10 @@ def _one(text: str) -> float | None:
     feet = re.fullmatch(r"(\d{1,4}(?:\.\d+)?)\s*'\s*(?:(\d{1,2}(?:\.\d+)?)\s*\")?", plain)
     if feet:
         return round((float(feet[1]) + float(feet[2] or 0.0) / 12.0) * _FOOT_M, 4)
-    found = re.fullmatch(r"(-?\d{1,6}(?:\.\d+)?)\s*(m|metre|metres|meter|meters|ft|feet)?", plain)
+    found = re.fullmatch(r"(-?\d{1,6}(?:\.\d+)?)\s*(m|metre|metres|meter|meters|cm|ft|feet)?", plain)
     if not found:
         return None
-    return round(float(found[1]) * (_FOOT_M if found[2] in ("ft", "feet") else 1.0), 4)
+    return round(float(found[1]) * _UNIT_M.get(found[2], 1.0), 4)
 
 
 def off_ground(tags: Mapping[str, str]) -> bool:
@@ -73,3 +87,64 @@ def _has_ground_level(text: str) -> bool:
     """True for no level at all, or levels with 0 among them; "0-2" names 0 and 2."""
     levels = [float(found) for found in re.findall(r"-?\d+(?:\.\d+)?", text)]
     return not levels or 0.0 in levels
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TagRow:
+    """What becomes of some tags: a row of the table."""
+
+    on: str  # what they are on
+    tags: str  # key=value|value, key=*, key<number or key>number, with blanks between them
+    becomes: str  # in words
+    means: str = ""  # word=word; "": they are not read here
+
+
+ROWS: Final = tuple(_TagRow(**row) for row in read_module_toml(__file__)["row"])
+
+
+def meanings(on: str, tags: Mapping[str, str]) -> dict[str, str]:
+    """What the table makes of the tags of a thing.
+
+    >>> meanings("crossings", {"crossing": "informal"}), meanings("footways", {"width": "80 cm"})
+    ({'paint': 'no'}, {'chairs': 'no'})
+    """
+    found: dict[str, str] = {}
+    for row in ROWS:
+        conditions = _CONDITION.findall(row.tags) if row.on == on else ()
+        if any(_fits(key, sign, values, tags) for key, sign, values in conditions):
+            found |= dict(word.split("=") for word in row.means.split())
+    return found
+
+
+def _fits(key: str, sign: str, values: str, tags: Mapping[str, str]) -> bool:
+    text = tags.get(key)
+    if text is None or values == "*":
+        return text is not None
+    if sign == "=":
+        return not {word.strip() for word in text.split(";")}.isdisjoint(values.split("|"))
+    amount = metres(text.rstrip("% "))
+    return amount is not None and (abs(amount) < float(values) if sign == "<" else abs(amount) > float(values))
+
+
+def kerb_marks(items: Iterable[Item]) -> list[KerbMark]:
+    """The kerbs among the things of a town; many are there twice, as a barrier and as a kerb."""
+    found: dict[tuple[int, bytes], KerbMark] = {}
+    for item in items:
+        barrier = item.group == "barrier"
+        if item.group not in _SIDES or (barrier and item.detail != "kerb") or not len(item.points_W_m):
+            continue
+        keys = ("kerb:height", "height") if barrier else ("kerb:height",)
+        tags = {key: item.tags[key] for key in keys if metres(item.tags.get(key, "")) is not None}
+        word = item.tags.get("kerb", "") if barrier else item.detail
+        means = meanings("kerbs", {"kerb": word} | tags).get("height_m")
+        if means is None:
+            continue
+        points = item.points_W_m
+        mark = KerbMark(
+            line=shapely.LineString(points) if len(points) > 1 else shapely.Point(points[0]),
+            height_m=number(tags, next(iter(tags))) if means == "measured" else float(means),
+            side=_SIDES[item.group],
+            crossing=item.tags.get("highway") == "crossing",
+        )
+        found.setdefault((mark.side, points.tobytes()), mark)
+    return list(found.values())

@@ -75,10 +75,10 @@ def run_tool(name: str, arguments: Sequence[str], folder: Path, limits: Limits |
     return run
 
 
-def by_file(option: str, names: Sequence[str], config: Path) -> list[str]:
-    """Words that give a tool a list of names by the new file `config`, for a word has room for 128 KiB of them only."""
-    text = f"<configuration><{option} value={quoteattr(','.join(names))}/></configuration>"
-    config.write_text(text, encoding="utf-8")
+def by_file(lists: Mapping[str, Sequence[str]], config: Path) -> list[str]:
+    """Words that give a tool lists of names by option, in the new file `config`: a word has room for 128 KiB only."""
+    options = (f"<{option} value={quoteattr(','.join(names))}/>" for option, names in lists.items() if names)
+    config.write_text(f"<configuration>{''.join(options)}</configuration>", encoding="utf-8")
     return ["-c", config.name]
 
 

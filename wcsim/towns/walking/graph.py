@@ -4,7 +4,7 @@ Shortest ways that stay inside an area.
 """
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import networkx
@@ -79,6 +79,7 @@ _SOFT_M = 0.10  # ... to terrain or road at the same height
 _SEAM_M = 0.05  # pavements and crossings may be this far apart and still count as one
 _SNAP_M = 1.5  # how far an end of a lane may move to stand where there is room
 SHORTEST_M = 3.0  # of the part of a lane that is kept when the whole cannot be passed
+_BESIDE_M = 1.25  # from the middle of a way of two directions to that of one of them, and a little
 REACH_M = 1.5  # how far a way may leave the lane or walking area that it belongs to
 
 
@@ -93,14 +94,28 @@ def free_space(walkable: BaseGeometry, kerbs: BaseGeometry, solids: BaseGeometry
 
 
 def build_walk_graph(
-    net: Net, space: BaseGeometry, chair_ways: tuple[str, ...], phases: Iterable[SignalState] = ()
+    net: Net,
+    space: BaseGeometry,
+    chair_ways: tuple[str, ...],
+    phases: Iterable[SignalState] = (),
+    barred: Sequence[F64] = (),
 ) -> WalkGraph:
     """The largest connected network of ways inside `space`; what is too narrow is left out.
 
-    `phases` are those of all the programs of its traffic lights.
+    Args:
+        net: The net, on its land.
+        space: Where the middle of a wheelchair may be.
+        chair_ways: What counts as a way.
+        phases: Those of all the programs of its traffic lights.
+        barred: Lines (n, 2) of ways on which walkers alone go; a lane is one of them where it lies on it for the most.
     """
     builder = _Builder(space)
+    closed = Patches(shapely.union_all([shapely.LineString(line_m).buffer(_BESIDE_M) for line_m in barred]))
     for lane in _lanes(net, chair_ways):
+        if barred and lane.is_line:
+            line = shapely.LineString(lane.points_m)
+            if line.intersection(closed.near(line.bounds)).length > 0.5 * line.length:
+                continue
         builder.add_lane(lane, WayKind.SIDEWALK)
     signals = _signals(net)
     if "crossing" in chair_ways:
