@@ -53,7 +53,8 @@ def build_street(town: Town, at: Callable[[str], object] = lambda part: None) ->
     items = read_items(additional, town.file.origin_m, whole)
     relief = fit_relief(whole)
     net = on_land(whole, relief)
-    surfaces = covered(make_surfaces(net, town.file.chair_ways, unmarked_crossings(items, net)), items)
+    streets = make_surfaces(net, town.file.chair_ways, unmarked_crossings(items, net))
+    surfaces = covered(streets, items, net)
     if surfaces.low.is_empty and surfaces.pavement.is_empty:
         raise TownError(f"{town.net}: no lane covers any ground; expected shapes with a length: build it again")
     at("ground and kerbs")
@@ -63,7 +64,7 @@ def build_street(town: Town, at: Callable[[str], object] = lambda part: None) ->
     placed = author_things(items, surfaces.hull)
     at("walkways and objects")
     walkable = shapely.union_all([surfaces.pavement, surfaces.crossing])
-    buildings, overhead = make_buildings(items, shapely.union_all([surfaces.low, surfaces.pavement]), surfaces.hull)
+    buildings, overhead = make_buildings(items, shapely.union_all([streets.low, streets.pavement]), surfaces.hull)
     blocks = shapely.union_all([building.outline for building in buildings])
     solids = shapely.union_all([blocks, *(thing.footprint for thing in placed)])
     space, phases = free_space(walkable, _kerb_lines(walls[0]), solids), all_phases(net, additional)

@@ -86,14 +86,14 @@ def test_bus_stops_of_the_map_are_sumos(made: _Imported, tmp_path: Path) -> None
     run_in_sumo(made.town.sumocfg, 5, tmp_path)
 
 
-def test_car_parks_squares_and_the_ground_of_houses_are_paved(made: _Imported, built: Street) -> None:
+def test_squares_are_pavement_and_car_parks_and_the_ground_of_houses_paved(made: _Imported, built: Street) -> None:
     town = made.town
     net = read_net(town.net, town.file.origin_m)
     items = read_items(town.additional, town.file.origin_m, net)
-    surfaces = covered(make_surfaces(net, town.file.chair_ways), items)
+    surfaces = covered(make_surfaces(net, town.file.chair_ways), items, net)
     house = next(item for item in items if item.group == "building")
     square = next(item for item in items if item.kind == "square")
-    places = {ClassId.GROUND: [square.points_W_m.mean(axis=0), house.points_W_m[0] + 2.0], ClassId.PARKING: []}
+    places = {ClassId.SIDEWALK: [square.points_W_m.mean(axis=0)], ClassId.GROUND: [house.points_W_m[0] + 2.0]}
     places[ClassId.PARKING] = [next(item for item in items if item.kind == "parking").points_W_m.mean(axis=0)]
     for class_id, points_m in places.items():
         assert all(built.grid.class_here(*at_m) == class_id for at_m in points_m), class_id

@@ -10,7 +10,7 @@ from wcsim.core.seeding import make_rng
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
-from wcsim.towns.walking.graph import _shortest_inside
+from wcsim.towns.walking.graph import shortest_inside
 from wcsim.towns.walking.routes import Router
 from wcsim.types import Street, WalkEdge, WalkGraph, WayKind
 from wcsim.users.crossing import find_route_crossings
@@ -126,7 +126,7 @@ def test_shortest_way_stays_inside_and_is_not_shorter_than_straight(
     start, goal = np.array([0.05, y0]), np.array([9.95, y1])
     if not (area.covers(shapely.Point(start)) and area.covers(shapely.Point(goal))):
         return
-    way = _shortest_inside(area, start, goal)
+    way = shortest_inside(area, start, goal)
     same_part = any(part.covers(shapely.MultiPoint([start, goal])) for part in shapely.get_parts(area))
     assert (way is not None) == same_part
     if way is not None:

@@ -1,6 +1,6 @@
 """What the ground of a town is, as polygons: carriageway, crossings, pavement, and the rest inside the town's edge.
 
-Beside the streets, car parks and squares are paved, and so is the ground between the houses of a town.
+Squares are pavement. Car parks are paved too, and so is the ground between the houses of a town.
 """
 
 from collections.abc import Collection, Iterable
@@ -54,7 +54,7 @@ class Surfaces:
     rail: BaseGeometry  # part of `low` that rail vehicles have to themselves
     pavement: BaseGeometry
     hull: BaseGeometry
-    paved: BaseGeometry = field(default_factory=MultiPolygon)  # part of the terrain: squares, yards, ground of a town
+    paved: BaseGeometry = field(default_factory=MultiPolygon)  # part of the terrain: yards, ground of a town
     parking: BaseGeometry = field(default_factory=MultiPolygon)  # part of the terrain: car parks
 
 
@@ -117,10 +117,14 @@ def _rail(lanes: list[Lane], low: BaseGeometry, taken: list[BaseGeometry]) -> Ba
 
 def _corners(junctions: BaseGeometry, driven: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
     """Parts of junctions beside the pavement that no vehicle comes near: SUMO's walking areas leave them out."""
-    near = buffered(buffered(driven, _DRIVEN_M, quad_segs=2), 0.5 - _DRIVEN_M, quad_segs=2)
-    corners = _opened(junctions.difference(walk).difference(near), 0.2)
+    corners = _opened(junctions.difference(walk).difference(_driven_on(driven)), 0.2)
     shapely.prepare(walk)
     return shapely.union_all([part for part in shapely.get_parts(corners) if shapely.dwithin(walk, part, _CLOSE_M)])
+
+
+def _driven_on(ways: BaseGeometry) -> BaseGeometry:
+    """Ways of vehicles, a little more, and what lies between them."""
+    return buffered(buffered(ways, _DRIVEN_M, quad_segs=2), 0.5 - _DRIVEN_M, quad_segs=2)
 
 
 def _reaches(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -> list[BaseGeometry]:
@@ -224,16 +228,38 @@ def _areas(geometry: BaseGeometry) -> BaseGeometry:
     return MultiPolygon(polygons_of(geometry, _LEAST_PART_M2))
 
 
-def covered(surfaces: Surfaces, items: Iterable[Item]) -> Surfaces:
-    """The same areas with what is known of the rest of the ground: `paved` and `parking` lie on the terrain."""
+def covered(surfaces: Surfaces, items: Iterable[Item], net: Net) -> Surfaces:
+    """The same areas with what is known of the rest of the ground: squares are pavement, `paved` and `parking` terrain.
+
+    On a square cycle paths are pavement too: no kerb lies across it but those of streets and rails.
+    """
     items = [item for item in items if not item.author and len(item.points_W_m) > 3]
     parking = _area(item for item in items if _is_car_park(item))
-    squares = _area(item for item in items if _is_square(item))
-    green = _area(item for item in items if item.kind in _GREEN.get(item.group, "").split())
+    greens = [item for item in items if item.kind in _GREEN.get(item.group, "").split()]
+    green = _area(greens)
+    lawns = [_area([item]) for item in greens]
+    tree = shapely.STRtree(lawns)
+    bare: list[BaseGeometry] = []
+    for area in [_area([item]) for item in items if _is_square(item)]:
+        # A lawn or a car park lies on a square that is larger, and a park around one that is smaller.
+        smaller = [lawns[k] for k in tree.query(area) if lawns[k].area < area.area]
+        bare.append(area.difference(shapely.union_all([parking, *smaller])))
+    if bare:
+        square = shapely.union_all(bare)
+        street = _driven_on(ground_of(net.lanes(LaneKind.MOTOR, LaneKind.RAIL)))
+        low = _areas(shapely.set_precision(surfaces.low.difference(square.difference(street)), GRID_M))
+        walked = _cleaned(surfaces.pavement.union(square)).intersection(surfaces.hull)
+        surfaces = replace(
+            surfaces,
+            low=low,
+            crossing=_areas(surfaces.crossing.intersection(low)),
+            unpainted=_areas(surfaces.unpainted.intersection(low)),
+            pavement=_areas(shapely.set_precision(walked.difference(low), GRID_M)),
+        )
     houses = _area(item for item in items if item.group == "building")
     quarters = _area(item for item in items if item.group == "landuse" and item.kind in _BUILT_UP)
     yards = buffered(buffered(houses, BESIDE_M + GAP_M, quad_segs=2), -GAP_M, quad_segs=2)
-    paved = shapely.union_all([shapely.union_all([yards, quarters]).difference(green), squares]).difference(parking)
+    paved = shapely.union_all([yards, quarters]).difference(green).difference(parking)
     return replace(surfaces, paved=_on_land(paved, surfaces), parking=_on_land(parking, surfaces))
 
 

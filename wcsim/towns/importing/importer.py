@@ -8,7 +8,7 @@ for their crashes.
 import logging
 import shlex
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -35,6 +35,7 @@ from wcsim.towns.osm.clean import (
     strip_orphans,
 )
 from wcsim.towns.osm.read import Box, Extract, Side, read_extract, side_at
+from wcsim.towns.osm.squares import cross_squares
 from wcsim.towns.scenario.town import CYCLE_PATHS, Town, chair_ways, hash_files, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
@@ -169,7 +170,7 @@ class _BuiltNet:
     share: float
     bridges: tuple[str, ...]  # what they are called that were left out, for they pass over other streets
     drawn: frozenset[str]  # the ways of the map that it has, by their ids without a sign
-    walked: frozenset[str]  # of these, those with lanes for walkers
+    walked: Set[str]  # of these, those with lanes for walkers, and the squares that ways were added over
 
 
 def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
@@ -183,6 +184,7 @@ def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
     """
     filter_osm(root, bool(order.lefthand))
     bridges = cut_bridges(root, order.keep_service)
+    squares = cross_squares(root, order.keep_service)
     net, share = _hanging_together(order, root, folder)
     walkable = {edge.id for edge in net.edges if any(lane.permits("pedestrian") for lane in edge.lanes)}
     drawn = osm_ways_by_edge(folder / f"{order.name}.net.xml")
@@ -191,7 +193,7 @@ def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
         share=share,
         bridges=bridges,
         drawn=frozenset(way for made_of in drawn.values() for way in made_of),
-        walked=frozenset(way for edge, made_of in drawn.items() if edge in walkable for way in made_of),
+        walked=squares.union(way for edge, made_of in drawn.items() if edge in walkable for way in made_of),
     )
 
 

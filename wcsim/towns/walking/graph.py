@@ -22,7 +22,7 @@ _MAX_CORNERS = 160  # above this the area is thinned first: the search looks at 
 _SLACK_M = 1e-4
 
 
-def _shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None:
+def shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None:
     """Shortest polyline (K, 2) from start to goal inside `area`, or None when they are in different parts of it.
 
     A shortest way bends only at inward corners of the area, so a graph of those that see each other holds it.
@@ -206,7 +206,7 @@ class _Builder:
         local = self._local(outline.buffer(REACH_M)) if len(nodes) > 1 else outline
         for i, a in enumerate(nodes):
             for b in nodes[i + 1 :]:
-                way = _shortest_inside(local, self.nodes[a], self.nodes[b]) if a != b else None
+                way = shortest_inside(local, self.nodes[a], self.nodes[b]) if a != b else None
                 if way is not None:
                     self._add(area.edge_id, WayKind.WALKINGAREA, (a, b), way, area.width_m, ("", ()))
 
@@ -256,7 +256,7 @@ def _along(space: BaseGeometry, points_m: F64) -> F64 | None:
     line = shapely.LineString(points_m)
     if shapely.covers(space.buffer(1e-4), line):
         return points_m
-    return _shortest_inside(space, points_m[0], points_m[-1])
+    return shortest_inside(space, points_m[0], points_m[-1])
 
 
 def _first_part(space: BaseGeometry, points_m: F64) -> F64 | None:
