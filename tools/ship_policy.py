@@ -35,8 +35,9 @@ from wcsim.agents.runs.policy_file import (
 )
 from wcsim.agents.runs.run_folder import MANIFEST, RunFolder, open_run
 from wcsim.config import CameraConfig, CollectConfig, resolve
+from wcsim.config.held_out import HELD_OUT
 from wcsim.core import files
-from wcsim.users.profiles import HELD_OUT
+from wcsim.towns.scene_folders.families import TRAINED
 
 _COLUMNS = (
     *("policy", "part", "crashes_own", "km", "crashes_per_km"),
@@ -86,7 +87,7 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
     camera, danger, collect = config.cameras[0], config.danger, config.collect
     towns, users, kept = driving(run)
     streets = f" (streets of {manifest.town} {manifest.town_sha256[:12]})" if manifest.town in towns else ""
-    met = "".join(f"; {name} is held out" for name in HELD_OUT if name not in users)
+    met = "".join(f"; {name} is held out" for name in HELD_OUT["profile"] if name not in users)
     lines = [
         "# Model card: the policy that comes with wcsim",
         "It scores the danger of each joystick position and drives the safe one nearest to the user: `docs/danger.md`.",
@@ -95,6 +96,7 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
         "|---|---|",
         f"| trained in | {', '.join(towns)}{streets} |",
         f"| users | {', '.join(users)}{met} |",
+        f"| scenes | {', '.join(TRAINED) if collect.scene_share else 'none'} |",
         f"| data | {kept} segments of {collect.ticks} ticks with {collect.chairs} chairs, labels {danger.teacher} |",
         f"| seed | {manifest.seed} |",
         f"| network | eye {danger.eye}, width {danger.width} |",

@@ -76,6 +76,8 @@ OPTIONS = {
     "train --set cameras.3.width_px=64": ("cameras",),
     "train-q --set learn.device=tpu": ("learn.device", "expected cpu"),
     "train --set env.profile=ataxic": ("ataxic", "held out"),
+    'collect --set collect.profiles=["slow","recorded"]': ("collect.profiles: profile recorded is held out",),
+    "train --town helsinki,made:5953": ("--town: town made:5953 is held out", "no network has met"),
     "train --set env.profile=saint": ("unknown user profile 'saint'", "competent"),
     "train --set env.profile=slow": ("""--set 'collect.profiles=["slow"]'""", "wcsim train-q"),
     'train --set collect.profiles=["saint"]': ("unknown user profile 'saint'", "competent"),
@@ -100,6 +102,7 @@ OPTIONS = {
     "train-clients fig6,patch --select-by dev --set learn.phase1_steps=0": (
         "less than 1 steps: set learn.phase1_steps",
     ),
+    "train-clients fig6,patch --steps 9 --select-by validation": ("validation: profile ataxic is held out",),
     "train-clients fig6,patch --select-by kpi1 --set learn.phase1_steps=99": ("less than 100 steps",),
     "train-clients fig6,patch --select-by kpi1 --worlds 2": ("tests nothing; leave --worlds out",),
     "train-clients fig6,patch --select-by fig6 --worlds 2": ("tests nothing; leave --worlds out",),

@@ -15,14 +15,15 @@ from wcsim.agents.evaluation.suite.intervals import bootstrapped, garwood
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.rows import ResultRow
+from wcsim.config.held_out import HELD_OUT
 from wcsim.core import seeding
-from wcsim.users.profiles import HELD_OUT
 
 DRAWS: Final = 4000
 USER: Final = "follow"
 RIVAL: Final = "dwa"
 BLINDED: Final = "oracle-visible"
 BOUNDS: Final = ("oracle", BLINDED)  # they know what no camera shows, or what no picture says
+UNMET: Final = HELD_OUT["profile"]
 HARD: Final = ("hazard", "tight")
 Counts = npt.NDArray[np.float64]
 Rows = Mapping[tuple[str, str], ResultRow]  # by policy and part, "" for all
@@ -45,7 +46,7 @@ def compared_text(result: TestResult, runs: Sequence[str]) -> str:
     lines += [
         f"| {part or 'all'} | {' | '.join(difference_text(result, run, part) for run in runs)} |" for part in parts
     ]
-    lines += ["", f"| policy | own crashes, score: user {', '.join(HELD_OUT)} | all other users |", "|---|---|---|"]
+    lines += ["", f"| policy | own crashes, score: user {', '.join(UNMET)} | all other users |", "|---|---|---|"]
     lines += [by_user_text(result, name) for name in (USER, RIVAL, *runs)]
     goals = [(goal.what, goal.bar, goal.got, "yes" if goal.reached else "no") for goal in wanted(result, runs)]
     return "\n".join([*lines, "", *table(("measure", "target", "networks", "reached"), goals), ""])
@@ -61,8 +62,8 @@ def difference_text(result: TestResult, run: str, part: str) -> str:
 def by_user_text(result: TestResult, policy: str) -> str:
     """A row of what a policy does with the user that no network has met, and with the others."""
     records = records_of(result, policy)
-    met = [record for record in records if record.profile not in HELD_OUT]
-    new = [record for record in records if record.profile in HELD_OUT]
+    met = [record for record in records if record.profile not in UNMET]
+    new = [record for record in records if record.profile in UNMET]
     cells = (
         f"{sum(record.own for record in some)} of {len(some)}, "
         f"{sum(record.score for record in some) / max(len(some), 1):.3f}"

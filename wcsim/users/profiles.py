@@ -1,7 +1,7 @@
 """Kinds of users as parameters of one model (`profiles.toml`), and profiles in TOML files of users.
 
 The values follow published ranges for reaction times and tremor: plausible, but only the hand of
-`recorded` is fitted. `ataxic` is meant to be held out of training.
+`recorded` is fitted; `ataxic` to nobody.
 """
 
 import json
@@ -35,9 +35,6 @@ PROFILE_LIMITS: Final[dict[str, tuple[float, float]]] = {
 
 PAIRS: Final = ("gain", "bias")
 """The numbers of a profile that have two parts."""
-
-HELD_OUT: Final = ("ataxic",)
-"""Profiles that no network is trained with."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ from wcsim.errors import ConfigError, DiskFullError
 from wcsim.scenes.run import _open_scene, play
 from wcsim.towns.scene_folders.build import _scene_of
 from wcsim.towns.scene_folders.draft import Push, mirrored, predict_path
-from wcsim.towns.scene_folders.families import FAMILIES, LISTED, _scooter_cuts_in, family_of, write_scene
+from wcsim.towns.scene_folders.families import FAMILIES, LISTED, TRAINED, _scooter_cuts_in, family_of, write_scene
 from wcsim.types import ClassId
 
 LONGEST_S = 25.0
@@ -100,13 +100,18 @@ def test_where_a_chair_does_not_belong_its_stick_leads_into_danger(seed, where, 
 
 def test_another_family_takes_its_share_and_moves_no_other(monkeypatch):
     before = [family_of(seed) for seed in range(600)]
-    monkeypatch.setattr("wcsim.towns.scene_folders.families.FAMILIES", (*FAMILIES, "a-new-one"))
+    monkeypatch.setattr("wcsim.towns.scene_folders.families.TRAINED", (*TRAINED, "a-new-one"))
     after = [family_of(seed) for seed in range(600)]
     taken = [new == "a-new-one" for new in after]
     assert [new for new, out in zip(after, taken, strict=True) if not out] == [
         old for old, out in zip(before, taken, strict=True) if not out
     ]
-    assert 20 < sum(taken) < 100 and set(before) == set(FAMILIES)
+    assert 20 < sum(taken) < 100 and set(before) == set(TRAINED)
+
+
+def test_trainings_draw_no_scene_of_a_family_that_is_held_out():
+    held = {"bus-at-corner", "overtaking-rider"}
+    assert held < set(FAMILIES) and not held & set(TRAINED)
 
 
 def test_lists_of_version_1_name_the_families_that_they_were_made_of():

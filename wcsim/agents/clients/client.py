@@ -28,6 +28,7 @@ from wcsim.agents.networks.device import validate_device_name
 from wcsim.agents.networks.registry import find_network
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun, has_results
 from wcsim.config import LearnConfig, RunConfig, parse_json, resolve
+from wcsim.config.held_out import refuse_held_out
 from wcsim.config.plant import list_plants
 from wcsim.core.reading import escape
 from wcsim.server.launch.states import ClientExitCode, ClientStatusReport
@@ -177,6 +178,7 @@ def _join_world(order: ClientProcessSpec, seat: SocketSeatLink, again: bool) -> 
             f"{endpoint}: no answer within {order.join.patience.reconnect_s:g} s; is `wcsim serve` "
             "running there? (--wait S waits longer)"
         ) from None
+    refuse_held_out("town", (Path(seat.welcome.town).name,), endpoint)
     # From now on the server may be silent for longer.
     seat.core.patience = Patience(reconnect_s=RECONNECT_S)
     config = resolve(order.config, _world_settings(seat.welcome, endpoint))

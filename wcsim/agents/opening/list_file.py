@@ -10,11 +10,12 @@ from typing import Final
 from wcsim.agents.opening.named_policy import make_policy_seat_spec
 from wcsim.agents.policy_api import Policy
 from wcsim.config import RunConfig, parse
+from wcsim.config.held_out import refuse_held_out
 from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import EPISODES, escape, is_file, read_json
 from wcsim.errors import ConfigError, TownError
-from wcsim.towns.making.asked_town import made_seed, made_town
+from wcsim.towns.making.asked_town import MADE, made_seed, made_town
 from wcsim.towns.scenario.town import Town, content_hash, expanded, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, scene_digest
 from wcsim.towns.scene_folders.families import write_scene
@@ -63,6 +64,21 @@ def open_suite(name_or_path: str) -> HashedSuite:
             f"--suite {escape(name_or_path)!r}: there is no such list; expected {known}, or a file"
         )
     return suite_from_file(parse(SuiteFile, read_json(path, EPISODES), escape(path)))
+
+
+def open_suite_to_choose_by(name_or_path: str) -> HashedSuite:
+    """A list by which something is chosen.
+
+    Raises:
+        ConfigError: As `open_suite`, or it has what is held out.
+    """
+    suite = open_suite(name_or_path)
+    refuse_held_out("town", (f"{MADE}:{town.made_seed}" for town in suite.file.towns), name_or_path)
+    for block in suite.file.blocks:
+        if block.part == TIGHT:
+            refuse_held_out("family", (block.town,), name_or_path)
+        refuse_held_out("profile", (episode.profile for episode in block.episodes), name_or_path)
+    return suite
 
 
 def suite_from_file(file: SuiteFile) -> HashedSuite:

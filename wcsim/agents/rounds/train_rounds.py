@@ -61,7 +61,7 @@ from wcsim.core.reading import escape, is_file, read_json
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
 from wcsim.server.workers.machines import HERE, WorkerPoolSettings
 from wcsim.server.workers.scheduler import WorkerStatus
-from wcsim.towns.making.asked_town import Wishes, asked_town
+from wcsim.towns.making.asked_town import Wishes, asked_town, refuse_held_out_town
 from wcsim.towns.making.maker import make_town
 from wcsim.towns.scenario.town import Town, find_town, open_town, streets_hash
 
@@ -280,6 +280,7 @@ def towns_of(
 
     Raises:
         TownError: A town is missing, is meant for tests, or cannot be made.
+        ConfigError: One is held out.
         SumoError: One of SUMO's tools failed.
     """
     listed = [find_town(name) for name in config.collect.towns]
@@ -295,7 +296,10 @@ def towns_of(
             stage(f"generating town {number + 1} of {made}")
             make_town(out, drawn, Wishes())
         others.append(open_town(out))
-    return tuple(str(town.address) for town in (own, *others))
+    towns = (own, *others)
+    for town in towns:
+        refuse_held_out_town(town)
+    return tuple(str(town.address) for town in towns)
 
 
 def train_danger(

@@ -487,6 +487,8 @@ class _SuiteMakeOptions:
     """Generated scenes of each family of tight places."""
     tight_from: Annotated[int, common.Bounds(0, 1_000_000)] = 0
     """Their first seed."""
+    to_choose_by: common.Flag = False
+    """Leave out users and scenes that are held out of choices, as --select-by needs."""
     forks: Annotated[int, common.Bounds(0, 1_000_000)] = 1_000_000
     """Episodes of the list whose interventions are judged, evenly spread."""
     jobs: common.Jobs = 1
@@ -514,6 +516,7 @@ def run_make_suite_command(words: list[str]) -> int:
             hazards=options.hazards,
             more_ways=options.more_ways,
             tight=range(options.tight_from, options.tight_from + options.tight),
+            to_choose_by=options.to_choose_by,
             forks=options.forks,
             jobs=options.jobs,
             work=work,

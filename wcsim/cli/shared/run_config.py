@@ -13,22 +13,24 @@ from wcsim.agents.networks.names import (
 )
 from wcsim.agents.opening.learner_registry import Learner, learner_from_config, learner_from_policy
 from wcsim.agents.policy_api import VETO
+from wcsim.agents.runs.data_folder import read_data_manifest
 from wcsim.agents.runs.policy_file import EXPORTED, parse_policy_name
 from wcsim.agents.runs.run_folder import ResolvedRun, policy_folder_from_name, resolve_data_folders
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import require_writable_folder
 from wcsim.config import RunConfig, resolve
+from wcsim.config.held_out import refuse_held_out
 from wcsim.config.load import is_override_of_key
 from wcsim.core import reading, seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import import_class
-from wcsim.core.reading import SETTINGS, escape, is_file
+from wcsim.core.reading import PROFILE, SETTINGS, escape, is_file
 from wcsim.errors import ConfigError, PolicyError, check_installed
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.rewards import make_reward_term
 from wcsim.towns.scenario.overrides import Override, Settings, scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
-from wcsim.users.profiles import HELD_OUT, find_profile
+from wcsim.users.profiles import find_profile
 
 
 def require_usable_policy(
@@ -88,7 +90,7 @@ def require_matching_learner(config: RunConfig, expected: Learner) -> None:
 def refuse_held_out_users(
     config: RunConfig, drawn: tuple[Sequence[str], Path | None] | None = None
 ) -> None:
-    """Refuse simulated users that are kept for tests.
+    """Refuse simulated users, and recorded driving, that are kept for tests.
 
     Args:
         config: The configuration of the drives.
@@ -103,12 +105,15 @@ def refuse_held_out_users(
         ("env.profile", (config.env.profile,)),
         ("collect.profiles", config.collect.profiles),
     ):
-        for name in names:
-            if name in HELD_OUT:
-                raise ConfigError(
-                    f"profile {name} is held out of training: tests use it as a user that a "
-                    f"network has never met; expected another {key}"
-                )
+        refuse_held_out("profile", names, key)
+        files = (Path(name) for name in names if name.endswith(".toml"))
+        refuse_held_out(
+            "profile", (reading.read_toml(file, PROFILE).get("base") for file in files), key
+        )
+    for folder in config.collect.data:
+        data = read_data_manifest(Path(folder))
+        refuse_held_out("profile", data.config.get("collect", {}).get("profiles", ()), folder)
+        refuse_held_out("town", data.towns, folder)
     if drawn is None:
         return
     settings, file = drawn

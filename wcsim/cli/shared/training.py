@@ -33,6 +33,7 @@ from wcsim.cli.shared.run_config import (
     settings_from_learner,
 )
 from wcsim.config import LearnConfig, RunConfig, resolve
+from wcsim.config.held_out import refuse_held_out
 from wcsim.config.load import Layer, is_override_of_key
 from wcsim.core import reading
 from wcsim.core.reading import SETTINGS, pluralize
@@ -48,7 +49,7 @@ from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import WorkerPoolSettings
 from wcsim.supervisor.rewards import make_reward_term
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.making.asked_town import asked_town, refuse_held_out_town
 from wcsim.towns.scenario.town import Town, by_name, streets_hash
 
 if TYPE_CHECKING:  # these load PyTorch, which --help must not
@@ -187,8 +188,10 @@ def choose_towns_and_folder(
 
 
 def find_training_town(name: str, allow_test_town: bool) -> Town:
-    """The town to train in. Raises TownError for one that is kept for tests."""
+    """The town to train in. Raises TownError or ConfigError for one that is kept for tests."""
+    refuse_held_out("town", (name,), "--town")
     town = asked_town(name)
+    refuse_held_out_town(town)
     validate_net(town.net)
     if town.split == "test" and not allow_test_town:
         raise TownError(

@@ -175,9 +175,9 @@ def _write_page(
 
 def _trained_families(config: RunConfig, suite: HashedSuite) -> list[str]:
     """The families of the list's generated scenes that the training draws scenes of, too."""
-    from wcsim.towns.scene_folders.families import FAMILIES
+    from wcsim.towns.scene_folders.families import TRAINED
 
-    drawn = FAMILIES if config.collect.scene_share > 0.0 else ()
+    drawn = TRAINED if config.collect.scene_share > 0.0 else ()
     return sorted({block.town for block in suite.file.blocks}.intersection(drawn))
 
 

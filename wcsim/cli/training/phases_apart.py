@@ -98,16 +98,11 @@ def _checked(options: ClientProcessOptions, run: ResolvedGroupRun, by: str) -> H
     Raises:
         ConfigError: The choice will not be possible; it is known before the first phase.
     """
-    suite = None
-    if by == KPI1 or by in [client.name for client in run.clients]:
-        if options.worlds is not None:
-            raise ConfigError(
-                f"--worlds {options.worlds}: --select-by {by} tests nothing; leave --worlds out"
-            )
-    else:
-        from wcsim.agents.opening.list_file import open_suite
-
-        suite = open_suite(by)
+    untested = by == KPI1 or by in [client.name for client in run.clients]
+    if untested and options.worlds is not None:
+        raise ConfigError(
+            f"--worlds {options.worlds}: --select-by {by} tests nothing; leave --worlds out"
+        )
     least = ROW_STEPS if by == KPI1 else 1
     unled = [client.name for client in run.clients if client.config.learn.phase1_steps < least]
     if unled:
@@ -115,7 +110,11 @@ def _checked(options: ClientProcessOptions, run: ResolvedGroupRun, by: str) -> H
             f"learn.select_by={by} chooses after the first phase, and that of {unled[0]} has less "
             f"than {least} steps: set learn.phase1_steps"
         )
-    return suite
+    if untested:
+        return None
+    from wcsim.agents.opening.list_file import open_suite_to_choose_by
+
+    return open_suite_to_choose_by(by)
 
 
 def _first_phase(run: ResolvedGroupRun) -> ResolvedGroupRun:

@@ -1,9 +1,11 @@
 """A town by the word that a user types: a name, a path, or `made:SEED`, whose other properties may be chosen, too."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from wcsim.config.held_out import refuse_held_out
 from wcsim.core.reading import escape
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.cache.folder import cache_folder
@@ -57,6 +59,12 @@ def asked_town(word: str) -> Town:
     """
     seed = made_seed(word)
     return find_town(word) if seed is None else made_town(cache_folder() / "train-towns", seed, "train")
+
+
+def refuse_held_out_town(town: Town) -> None:
+    """Raise ConfigError for a made town that is kept for tests, whatever it is called."""
+    found = re.search("town make .*--seed ([0-9]+)", town.file.rebuild)
+    refuse_held_out("town", (f"{MADE}:{found[1]}",) if found else (), town.name)
 
 
 def made_seed(word: str) -> int | None:

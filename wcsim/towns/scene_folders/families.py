@@ -16,6 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from wcsim.config.held_out import HELD_OUT
 from wcsim.core import seeding
 from wcsim.core.files import write_folder_atomically
 from wcsim.errors import ConfigError, meant
@@ -470,15 +471,17 @@ _DRAWN = MappingProxyType[str, Callable[[np.random.Generator], Draft]](
 )
 FAMILIES: tuple[str, ...] = tuple(_DRAWN)
 LISTED = tuple(name for name in FAMILIES if name != "out-of-place")  # of lists of version 1: leave new ones out
+TRAINED = tuple(name for name in FAMILIES if name not in HELD_OUT["family"])
+"""Families of which trainings draw scenes."""
 
 
 def family_of(seed: int) -> str:
-    """The family that a seed draws: each draws a lot of its own, so that a new one takes its share and moves no other.
+    """The family that a training's seed draws: each draws a lot of its own, so that a new one moves no other.
 
     >>> family_of(3)
     'person-turns-round'
     """
-    return max(FAMILIES, key=lambda name: float(seeding.make_rng(seed, "family", name).random()))
+    return max(TRAINED, key=lambda name: float(seeding.make_rng(seed, "family", name).random()))
 
 
 def write_scene(family: str, seed: int, folder: Path) -> Path:

@@ -25,9 +25,10 @@ from wcsim.core.constants import RECORDED
 from wcsim.core.own_folder import create_temporary_folder
 from wcsim.core.reading import pluralize
 from wcsim.errors import TownError
+from wcsim.towns.making.asked_town import refuse_held_out_town
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_digest, seat_specs
-from wcsim.towns.scene_folders.families import LISTED, write_scene
+from wcsim.towns.scene_folders.families import LISTED, TRAINED, write_scene
 from wcsim.towns.street import load_street
 
 BAD_START_S: Final = 3.0  # who is hit before this was put where somebody came along
@@ -57,6 +58,7 @@ class MakeOrder:
     hazards: int  # at most
     more_ways: int = 0  # blocks of free ways that are looked through for hazards alone
     tight: range  # seeds of the generated scenes, of each family
+    to_choose_by: bool = False  # without what is held out
     forks: int = 1_000_000  # episodes of the whole list whose interventions are judged, at most
     jobs: int = 1
     work: Path  # folder for what is driven meanwhile
@@ -65,9 +67,12 @@ class MakeOrder:
 def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told: Told) -> SuiteFile:
     """A list for these towns, each with the seed that it was made of; drives in them to find the hazards.
 
-    Raises TownError for one that is too small, and for two of one name.
+    Raises TownError for one that is too small, and for two of one name; ConfigError for one that is held out.
     """
     config = resolve("quick", SETTINGS)
+    if order.to_choose_by:
+        for town, _ in towns:
+            refuse_held_out_town(town)
     by_name(town for town, _ in towns)
     listed = [_listed_as(town, seed) for town, seed in towns]
     named = tuple(
@@ -90,7 +95,7 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
         settings=SETTINGS,
         towns=named,
         forks=order.forks,
-        blocks=(*free, *crossing, *hazard, *_tight_blocks(order.tight)),
+        blocks=(*free, *crossing, *hazard, *_tight_blocks(order.tight, order.to_choose_by)),
     )
 
 
@@ -105,7 +110,8 @@ def _listed_as(town: Town, made_seed: int | None) -> str:
 
 
 def _free(place: DrawPlace, order: MakeOrder, more: bool = False) -> list[SuiteBlock]:
-    wanted = Wanted(part="free", profiles=("ataxic", "ataxic", "inattentive"), settings=(USUAL_STREET,))
+    often = "tremor" if order.to_choose_by else "ataxic"
+    wanted = Wanted(part="free", profiles=(often, often, "inattentive"), settings=(USUAL_STREET,))
     if more:
         return free_blocks(place, wanted, order.more_ways, seeding.derive_seed(order.seed, "more ways"))
     return free_blocks(place, wanted, order.free_blocks, order.seed)
@@ -222,9 +228,10 @@ def _handed_over(episode: SuiteEpisode, record: EpisodeRecord, tick_s: float) ->
     )
 
 
-def _tight_blocks(seeds: Sequence[int]) -> list[SuiteBlock]:
+def _tight_blocks(seeds: Sequence[int], to_choose_by: bool = False) -> list[SuiteBlock]:
     """A block for each listed family of scenes and each seed."""
-    return [tight_block(family, seed) for family in LISTED for seed in seeds]
+    families = TRAINED if to_choose_by else LISTED
+    return [tight_block(family, seed) for family in families for seed in seeds]
 
 
 def tight_block(family: str, seed: int) -> SuiteBlock:
