@@ -1,12 +1,14 @@
 """Families of scenes: a seed always writes the same, every street builds, and each holds the danger that it says."""
 
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from wcsim.agents.opening.list_file import open_suite
+from wcsim.bridge.world_rollout import rollout
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, DiskFullError
 from wcsim.scenes.run import _open_scene, play
@@ -14,6 +16,7 @@ from wcsim.towns.scene_folders.build import _scene_of
 from wcsim.towns.scene_folders.draft import Push, mirrored, predict_path
 from wcsim.towns.scene_folders.families import FAMILIES, LISTED, TRAINED, _scooter_cuts_in, family_of, write_scene
 from wcsim.types import ClassId
+from wcsim.types.chair import AT_REST
 
 LONGEST_S = 25.0
 # family: a seed, why the episode of a follower ends, and with whom ("" for kerbs and walls)
@@ -25,6 +28,7 @@ MEANT = {
     "out-of-place": (0, "collision", ""),
     "overtaking-rider": (0, "collision", "v:rider"),
     "person-turns-round": (2, "collision", "p:walker"),
+    "person-turns-round-2": (0, "collision", "p:walker"),
     "reversing-off-kerb": (0, "drop", ""),
     "scooter-cuts-in": (0, "collision", "v:rider"),
     "turning-beside-drop": (0, "drop", ""),
@@ -96,6 +100,15 @@ def test_where_a_chair_does_not_belong_its_stick_leads_into_danger(seed, where, 
         assert int(world.street.grid.class_at(np.array(scene.seats[0].start_m))) == ground
         end = first_crash(world, scene)
     assert end.events.crash_reason == reason and {contact.actor_id for contact in end.contacts} <= {partner, ""}
+
+
+def test_who_stops_dead_in_front_of_a_chair_stays_there(tmp_path):
+    with _open_scene(write_scene("person-turns-round-2", 0, tmp_path / "scene")) as (world, scene):
+        ticks = islice(rollout(world, {0: lambda now: AT_REST}), round(scene.duration_s / world.config.world.tick_s))
+        places_m = np.array([actor.p_W_m[:2] for tick in ticks for actor in tick.after.actors])
+    steps_m = np.hypot(*np.diff(places_m, axis=0).T)
+    assert len(places_m) > 100 and steps_m[:30].mean() > 0.05
+    assert steps_m.max() < 0.2 and steps_m[-60:].max() < 0.002 and np.ptp(places_m[:, 1]) < 0.02
 
 
 def test_another_family_takes_its_share_and_moves_no_other(monkeypatch):
