@@ -128,7 +128,10 @@ def crowd_figures(people: F64, chair_W_m: F64, free_m: F64) -> dict[str, list[fl
 
 @dataclass(slots=True)
 class GapsTaken:
-    """Gaps of a main street along x through the origin: those that drivers from beside turned in to, or let go by."""
+    """Gaps of a main street along x through the origin: those that drivers from beside turned in to, or let go by.
+
+    Of each side the first driver alone lets a gap go by: who queues behind has no choice.
+    """
 
     main_m: float = 6.0  # from its middle to where one has turned in
     queue_m: float = 20.0  # and to where who waits may stand
@@ -139,13 +142,14 @@ class GapsTaken:
 
     def add(self, actors: Sequence[ActorState], now_s: float) -> None:
         """One tick of the motor vehicles around the junction; every other actor is passed over."""
-        for actor in actors:
-            if actor.is_person or actor.kind is ActorKind.BICYCLE:
-                continue
+        drivers = [a for a in actors if not a.is_person and a.kind not in (ActorKind.BICYCLE, ActorKind.SCOOTER)]
+        first = set[bool]()
+        for actor in sorted(drivers, key=lambda actor: abs(float(actor.p_W_m[1]))):
             (x, y), towards = actor.p_W_m[:2].tolist(), -actor.p_W_m[1] * math.sin(actor.yaw_rad)
             if self.main_m < abs(y) < self.queue_m and towards > self.main_m / 2.0:
-                if float(np.hypot(*actor.v_W_mps[:2])) < MOVES_MPS:
+                if (y > 0.0) not in first and float(np.hypot(*actor.v_W_mps[:2])) < MOVES_MPS:
                     self._waits_s.setdefault(actor.id, now_s)
+                first.add(y > 0.0)
             elif abs(y) <= self.main_m and actor.id in self._waits_s:
                 self._turned_s.setdefault(actor.id, now_s)
             elif abs(y) <= self.main_m and self._east.setdefault(actor.id, x > 0.0) != (x > 0.0):

@@ -69,6 +69,7 @@ class SmallStreet:
     pavement_m: float = 2.5
     bike_lane_m: float = 1.6  # 0: bicycles ride among the cars
     traffic: float = 1.0  # share of the vehicles
+    motors_only: bool = False  # nobody else, whom drivers would wait for
 
 
 SMALL_STREETS = (
@@ -92,20 +93,22 @@ def build_small_street(street: SmallStreet, work: Path, seed: int) -> Town:
         raise SumoError(f"bench street {street.name}: no net could be built: {run.reason()}; is eclipse-sumo complete?")
     name = street.name
     write_gzip(work / f"{name}.net.xml.gz", without_comments((work / "plain.net.xml").read_bytes()))
-    (work / f"{name}.rou.xml").write_text(_routes(street.traffic), encoding="utf-8")
+    (work / f"{name}.rou.xml").write_text(_routes(street), encoding="utf-8")
     (work / f"{name}.sumocfg").write_text(sumocfg_text(name, seed, routes=f"{name}.rou.xml", additional=()), "utf-8")
     (work / "town.toml").write_text(town_toml_text(name=name, split="scene"), encoding="utf-8")
     return open_town(work / f"{name}.sumocfg")
 
 
-def _routes(traffic: float) -> str:
-    flows = []
+def _routes(street: SmallStreet) -> str:
+    flows, traffic = [], street.traffic
     for i, (kind, per_hour, ways) in enumerate(_PER_HOUR):
+        if street.motors_only and kind in ("slow", "fast"):
+            continue
         for j, way in enumerate(ways):
             when = f'begin="0" end="{_FOREVER_S}" period="exp({traffic * per_hour / 3600:.6f})"'
             drive = 'departLane="best" departSpeed="max"'
             flows.append(f'    <flow id="{kind}.{i}.{j}" type="{kind}" {when} {drive}><route edges="{way}"/></flow>')
-    for j, way in enumerate(_WALKS):
+    for j, way in enumerate(() if street.motors_only else _WALKS):
         for kind, per_hour in (("adult", 90), ("child", 15)):
             when = f'begin="0" end="{_FOREVER_S}" period="exp({per_hour / 3600:.6f})"'
             walk = f'departPos="random"><walk edges="{way}"/>'

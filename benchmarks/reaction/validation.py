@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -116,12 +117,19 @@ def _in_town(name: str, street: str, for_s: float) -> Figures:
 
 def _of_drivers(for_s: float, work: Path) -> Figures:
     """Drivers of a side street turn in; those of the main street stop for a chair that stands on the zebra."""
+    taken, refused, stops = list[float](), list[float](), dict[str, float]()
+    town = build_small_street(replace(SMALL_STREETS[0], motors_only=True), work / "gaps", 1)
+    for seed in range(1, 5):
+        gaps = GapsTaken()
+        with ReactionStage(town, load_street(town), WorldConfig(attention_share=1.0), seed, 60.0) as stage:
+            for tick in range(round(for_s / stage.tick_s)):
+                stage.tick(())
+                gaps.add(stage.near(np.zeros((1, 2)), 40.0), tick * stage.tick_s)
+        for found, more in zip((taken, refused), gaps.taken_refused_s(), strict=True):
+            found += more
     town = build_small_street(SMALL_STREETS[0], work / "drivers", 1)
-    street, gaps, stops = load_street(town), GapsTaken(), dict[str, float]()
+    street = load_street(town)
     with ReactionStage(town, street, WorldConfig(attention_share=1.0), 1, 60.0) as stage:
-        for tick in range(round(for_s / stage.tick_s)):
-            stage.tick(())
-            gaps.add(stage.near(np.zeros((1, 2)), 40.0), tick * stage.tick_s)
         for tick in range(round(for_s / stage.tick_s / 2.0)):  # it comes and goes every 20 s
             chair = stage.chair(np.array([70.0, -1.7]), 0.5 * math.pi)
             chairs = (chair,) if tick * stage.tick_s % 40.0 < 20.0 else ()
@@ -129,7 +137,6 @@ def _of_drivers(for_s: float, work: Path) -> Figures:
             held = _held(stage)
             halted = [a for a in actors if chairs and a.id in held and not a.is_person and _speed(a) < _STANDS_MPS]
             stops.update({f"{a.id} {tick // 400}": _free_m(a, chair) for a in halted})
-    taken, refused = gaps.taken_refused_s()
     return {"taken": taken, "let go": refused, "stop gap": list(stops.values())}
 
 

@@ -53,9 +53,13 @@ def test_who_waits_beside_lets_gaps_go_by_and_takes_one():
         now_s = 0.1 * tick
         main = [actor(name=f"v:{i}", x=10.0 * (now_s - at_s), y=1.6, speed=10.0) for i, at_s in enumerate(passes_s)]
         y, mps = (-10.0, 0.0) if now_s < turns_s else (min(-6.0 + 3.0 * (now_s - turns_s), 0.0), 3.0)
-        gaps.add((*main, actor(name="v:side", x=5.0, y=y, yaw=0.5 * math.pi, speed=mps)), now_s)
+        side = [actor(name="v:side", x=5.0, y=y, yaw=0.5 * math.pi, speed=mps)]
+        if now_s < 14.0:  # queues behind, and takes the same gap
+            y, mps = (-16.0, 0.0) if now_s < 12.0 else (8.0 * (now_s - 14.0), 8.0)
+            side.append(actor(name="v:behind", x=5.0, y=y, yaw=0.5 * math.pi, speed=mps))
+        gaps.add((*main, *side), now_s)
     taken, refused = gaps.taken_refused_s()
-    assert taken == pytest.approx([9.0], abs=0.25)
+    assert taken == pytest.approx([9.0, 9.0], abs=0.25)
     assert refused == pytest.approx([3.0, 2.0], abs=0.25)
 
 
