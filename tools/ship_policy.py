@@ -99,7 +99,7 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
         f"| scenes | {', '.join(TRAINED) if collect.scene_share else 'none'} |",
         f"| data | {kept} segments of {collect.ticks} ticks with {collect.chairs} chairs, labels {danger.teacher} |",
         f"| seed | {manifest.seed} |",
-        f"| network | eye {danger.eye}, width {danger.width} |",
+        f"| network | street map, width {danger.width} |",
         f"| rule | threshold {danger.threshold:g}, at once {danger.at_once:g}, warn {danger.warn:g} |",
         f"| camera | {camera_told(camera)} |",
         f"| delay | {config.world.action_delay_ticks} ticks of {config.world.tick_s:g} s |",

@@ -97,6 +97,18 @@ def test_checkers_find_nothing_in_table_3_but_that_floats_are_no_stored_images(c
     assert all(got.startswith(text) for got, text in zip(told, expected, strict=True))
 
 
+@pytest.mark.parametrize("checker", [check_env, sb3_check_env], ids=["gymnasium", "sb3"])
+def test_further_cameras_have_keys_of_their_own_and_checkers_find_nothing(corner, checker):
+    two = 'env.camera=["front","rear"]'
+    assert warnings_of(corner, checker, two) == []
+    with made(corner) as one, made(corner, two, "env.window=2", 'env.observation="table3"') as env:
+        fewer = set(one.observation_space.spaces)
+        assert {*env.observation_space.spaces} == {*fewer - {"seg"}, "segmentation", "rear_segmentation", "rear_depth"}
+        seen = env.reset(seed=5)[0]
+        assert env.observation_space.contains(seen) and seen["rear_depth"].shape == seen["depth"].shape
+        assert not np.array_equal(seen["rear_depth"], seen["depth"])
+
+
 @pytest.mark.parametrize("form", ["compact", "compact_rgb", "table3"])
 def test_observations_lie_in_their_space_and_are_the_callers_own(corner, form):
     with made(corner, "cameras.0.rgb=true", f'env.observation="{form}"') as env:

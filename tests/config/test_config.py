@@ -59,6 +59,9 @@ def test_an_override_reaches_its_key_and_nothing_else():
         ("imu.saturation_mps2=10.0", "saturation"),
         ("cameras.0.range_m=150", r"'front' has range_m 150, .* set world\.mirror_radius_m=150, or a smaller range_m"),
         ("env.camera=rear", "env.camera is 'rear'; expected the name of a camera: front"),
+        ('env.camera=["left","rear"]', r"env.camera is \('left', 'rear'\); expected the name of a camera: front, rear"),
+        ('env.camera=["","front"]', "in a list each once"),
+        ("env.camera=[]", "at least 1 item"),
         ("env.observation=compact_rgb", r"draws no colours; expected cameras\.0\.rgb=true"),
     ],
 )
@@ -106,6 +109,20 @@ def test_what_is_wrong_with_an_item_is_told_without_what_follows_for_its_list():
     assert str(told.value).endswith("remove it or correct its name; did you mean 'width_px'?")
     with pytest.raises(ConfigError, match=r"cameras: Tuple should have at least 1 item"):
         resolve("quick", ("cameras=[]",))
+
+
+def test_a_rear_camera_is_mounted_when_it_is_named_and_follows_the_first_until_it_is_changed():
+    two = resolve("quick", ("cameras.0.noise=typical", 'env.camera=["front","rear"]'))
+    front, rear = two.cameras
+    assert two.eyes == {"": front, "rear_": rear} and two.eye == front
+    assert (rear.yaw_deg, rear.noise, rear.width_px) == (180.0, front.noise, 80)
+    assert resolve(two, "cameras.0.width_px=40").cameras[1].width_px == 40
+    own = resolve(two, "cameras.1.pitch_deg=-20")
+    assert own.cameras[0] == front and resolve(own, "cameras.0.width_px=40").cameras[1] == own.cameras[1]
+    back = resolve(two, 'env.camera=["rear",""]')
+    assert back.eyes == {"": rear, "front_": front} and resolve(two, "env.camera=rear").eyes == {"": rear}
+    assert resolve("quick").eyes == {"": resolve("quick").cameras[0]}
+    assert parse(RunConfig, two.model_dump(mode="json"), "file") == two
 
 
 def test_a_camera_must_see_something():

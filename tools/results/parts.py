@@ -16,8 +16,6 @@ PAPER_STEPS: Final = 14_000  # what two cores do in 25 minutes, at some ten step
 # does, their row of comparison.
 OF_THE_NETWORK: Final[dict[str, tuple[str, ...]]] = {
     "again": (),
-    "pictures": ("danger.eye=picture", "learn.network=patch"),
-    "map-and-pictures": ("danger.eye=both", "learn.network=patch"),
     "all-knowing-teacher": ("danger.teacher=truth",),
 }
 # These change the driving itself, in three of the five rounds: `three-rounds` is their row of comparison.

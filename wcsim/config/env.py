@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Final, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from wcsim.config.base import Finite, Model, NotNegative, Positive, Text, exclude_if, within
 
@@ -19,6 +19,13 @@ EpisodeSteps = Annotated[int, within(1, 1_000_000)]
 LEAST_WINDOW: Final = 1e-6
 
 Window = Annotated[int, within(1, 16)]
+_CameraName = Annotated[str, Field(max_length=40)]
+_CameraNames = Annotated[tuple[_CameraName, ...], Field(min_length=1, max_length=64)]
+# A wrong value is reported once, as that of which it looks like.
+_OneOrSeveral = Annotated[
+    Annotated[_CameraName, Tag("name")] | Annotated[_CameraNames, Tag("list")],
+    Discriminator(lambda given: "list" if isinstance(given, list | tuple) else "name"),
+]
 
 
 class FollowRewardConfig(Model):
@@ -71,8 +78,9 @@ class EnvConfig(Model):
     # Class ids and log-depth as uint8; with colours (compact_rgb); floats of Table 3; no images
     # (state).
     observation: Form = "compact"
-    # Name of the camera that networks see. Empty: the first.
-    camera: Annotated[str, Field(max_length=40), exclude_if("")] = ""
+    # Name of the camera that networks see, or names of several. Empty: the first. A list with rear
+    # mounts a camera of that name behind the chair, where there is none.
+    camera: Annotated[_OneOrSeveral, exclude_if("")] = ""
     classes: Classes = "cityscapes"  # Classes of Cityscapes, or wcsim's with kerbs and crosswalks.
     observe_gyro: bool = False  # Whether the observation contains turn rates. Not in the paper.
     observe_yaw: bool = False  # Whether the observation contains the heading. Not in the paper.

@@ -7,6 +7,9 @@ options of a command, and last what a learner, its network and its run folder fi
 Two keys stand for several: `chair.plant` brings `[chair]` of the plant's file, and `chair.profile`
 brings a top speed. What they bring belongs to the bottom layer: it replaces values there, and every
 layer wins over it. Tables of wcsim itself choose no plant: they only say where its file lies.
+
+A rear camera that `env.camera` brings has the settings of the first camera, and follows them until
+it gets its own.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +21,7 @@ from pydantic import ValidationError
 from wcsim.config.base import Model, format_validation_error
 from wcsim.config.chair import PROFILE_SPEED_MPS
 from wcsim.config.run import RunConfig
-from wcsim.config.sensors import sensor_table_from_word
+from wcsim.config.sensors import REAR, sensor_table_from_word
 from wcsim.core import reading
 from wcsim.core.reading import CONFIG, SETTINGS, VALUE, FileSpec, escape
 from wcsim.errors import ConfigError, meant
@@ -109,12 +112,29 @@ def resolve(base: str | RunConfig, *layers: Layer) -> RunConfig:
         chair = _with_plant(chair, plants[-1])
     if _names_speed(_chairs(tables)):
         chair = {key: value for key, value in chair.items() if key != "v_max_mps"}
-    data = {**data, "chair": chair}
+    below = data = {**data, "chair": chair}
 
     # 3. Lay the layers over it, and validate the whole once.
     for _, table in tables:
         data = _merged(data, table)
+    data = _with_rear_camera(data, below)
     return parse(RunConfig, data, tables[-1][0] if tables else where)
+
+
+def _with_rear_camera(data: dict[str, Any], below: dict[str, Any]) -> dict[str, Any]:
+    """`data` with the rear camera that its `env.camera` names; `below` is the bottom layer."""
+    before, cameras, env = below.get("cameras", [{}]), data.get("cameras", [{}]), data.get("env")
+    names = env.get("camera") if isinstance(env, dict) else None
+    # Validation reports what is wrong with them.
+    usable = isinstance(cameras, list) and all(isinstance(camera, dict) for camera in cameras)
+    if not isinstance(names, list) or REAR["name"] not in names or not usable or not cameras:
+        return data
+    # One that nobody has changed is made anew of what the first camera is now.
+    made, unchanged = {**cameras[0], **REAR}, {**before[0], **REAR}
+    cameras = [made if camera == unchanged and camera in before else camera for camera in cameras]
+    if all(camera.get("name") != REAR["name"] for camera in cameras):
+        cameras.append(made)
+    return {**data, "cameras": cameras}
 
 
 def _tables(layer: Layer) -> list[tuple[str, dict[str, Any]]]:

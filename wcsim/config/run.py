@@ -48,10 +48,21 @@ class RunConfig(Model):
     danger: Annotated[DangerConfig, exclude_if(DangerConfig())] = DangerConfig()
 
     @property
+    def eyes(self) -> dict[str, CameraConfig]:
+        """The cameras that are seen, by what stands before their keys in an observation.
+
+        That is nothing for the first one, and the name with an underscore for others.
+        """
+        given, first = self.env.camera, self.cameras[0]
+        names = (given,) if isinstance(given, str) else given
+        named = {camera.name: camera for camera in self.cameras}
+        seen = [named.get(name, first) for name in names]
+        return {"": seen[0], **{f"{camera.name}_": camera for camera in seen[1:]}}
+
+    @property
     def eye(self) -> CameraConfig:
-        """The camera that networks see."""
-        named = [camera for camera in self.cameras if camera.name == self.env.camera]
-        return named[0] if named else self.cameras[0]
+        """The first camera that is seen, and the only one of networks that see one picture."""
+        return self.eyes[""]
 
     @property
     def epoch_ticks(self) -> int:
@@ -69,7 +80,7 @@ class RunConfig(Model):
                 f"{self.reward.accel_window_mps2}; expected a higher saturation"
             )
         # Cameras of films may see empty streets far away.
-        eye = self.eye
+        eye = max(self.eyes.values(), key=lambda camera: camera.range_m)
         if eye.range_m > self.world.mirror_radius_m:
             raise ValueError(
                 f"camera {eye.name!r} has range_m {eye.range_m:g}, but road users are "
@@ -83,30 +94,35 @@ class RunConfig(Model):
         names = [camera.name for camera in self.cameras]
         if len(set(names)) != len(names):
             raise ValueError(f"cameras are named {names}; expected a different name for each")
-        if self.env.camera and self.env.camera not in names:
+        given = self.env.camera
+        listed = (given,) if isinstance(given, str) else given
+        seen = {name or names[0] for name in listed}
+        if not seen <= {*names} or len(seen) < len(listed):
             raise ValueError(
-                f"env.camera is {self.env.camera!r}; expected the name of a camera: "
-                f"{', '.join(names)}"
+                f"env.camera is {given!r}; expected the name of a camera: {', '.join(names)}; in a "
+                "list each once"
             )
-        if self.env.observation == "compact_rgb" and not self.eye.rgb:
-            raise ValueError(
-                f"env.observation=compact_rgb with camera {self.eye.name!r}, which draws no "
-                f"colours; expected cameras.{names.index(self.eye.name)}.rgb=true"
-            )
+        for camera in self.eyes.values():
+            if self.env.observation == "compact_rgb" and not camera.rgb:
+                raise ValueError(
+                    f"env.observation=compact_rgb with camera {camera.name!r}, which draws no "
+                    f"colours; expected cameras.{names.index(camera.name)}.rgb=true"
+                )
         return self
 
     @model_validator(mode="after")
     def _pictures_can_be_held(self) -> Self:
         sizes_px = [camera.width_px * camera.height_px for camera in self.cameras]
-        seen_px = self.eye.width_px * self.eye.height_px * self.env.frames
+        eyes = self.eyes.values()
+        seen_px = self.env.frames * sum(camera.width_px * camera.height_px for camera in eyes)
         if sum(sizes_px) > _MAX_CAMERAS_PX or seen_px > MAX_SEEN_PX:
             raise ValueError(
                 f"{len(sizes_px)} cameras have {sum(sizes_px)} pixels, the {self.env.frames} "
                 f"images of an observation {seen_px}; expected at most {_MAX_CAMERAS_PX} and "
                 f"{MAX_SEEN_PX}: make width_px and height_px smaller, or env.window"
             )
-        # A danger network of the map gets no pictures.
-        batch = max(self.learn.batch_size, self.danger.batch if self.danger.eye != "map" else 0)
+        # A danger network gets no pictures.
+        batch = self.learn.batch_size
         if self.learn.memory == "groups":
             # A group is drawn with its burn-in, and with the steps of its last return.
             groups = max(1, round(self.learn.batch_size / self.learn.group_steps))
@@ -116,7 +132,7 @@ class RunConfig(Model):
         if seen_px * batch > _MAX_BATCH_PX:
             raise ValueError(
                 f"a batch of {batch} observations has {seen_px * batch} pixels; expected at most "
-                f"{_MAX_BATCH_PX}: make learn.batch_size or danger.batch smaller, or the pictures"
+                f"{_MAX_BATCH_PX}: make learn.batch_size smaller, or the pictures"
             )
         return self
 

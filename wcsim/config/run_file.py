@@ -16,10 +16,11 @@ from wcsim.config.base import (
     Text,
     Texts,
     Word,
+    exclude_if,
     within,
 )
 from wcsim.config.env import Actions, Classes, FollowRewardConfig, Form, Window
-from wcsim.config.learn import Eye
+from wcsim.config.learn import SeesStreetMap
 from wcsim.config.sensors import Pixels
 from wcsim.core.reading import MAX_INTEGER
 from wcsim.types import CLIENT_NAME
@@ -115,14 +116,11 @@ class QPolicyFile(Model):
         return self
 
 
-class DangerNetworkShape(Model):
+class DangerNetworkShape(SeesStreetMap):
     """The shape of a danger network."""
 
     width: Annotated[int, within(4, 256)]
     actions: Actions
-    eye: Eye = "map"
-    network: Name = "patch"
-    window: Window = 1
 
 
 class DangerRuleSettings(Model):
@@ -145,17 +143,9 @@ class DangerNetworkSpec(Model):
 
     net: DangerNetworkShape
     camera: CameraConfig
+    # Further cameras that its street map is written from, in the order of `env.camera`.
+    more_cameras: Annotated[tuple[CameraConfig, ...], exclude_if(())] = ()
     classes: Classes
-
-    @property
-    def street(self) -> bool:
-        """Whether it looks at the street map."""
-        return self.net.eye != "picture"
-
-    @property
-    def pictures(self) -> int:
-        """How many of the last pictures it looks at as they are."""
-        return 0 if self.net.eye == "map" else self.net.window
 
 
 class DangerPolicyFile(DangerNetworkSpec):

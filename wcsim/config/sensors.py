@@ -18,6 +18,17 @@ Pixels = Annotated[int, within(8, 2048)]
 ErrorDeg = Annotated[float, within(0.0, 5.0)]
 
 
+# What a rear camera that is made for `env.camera` has of its own. Else it is as the first.
+REAR: Final[dict[str, Any]] = {
+    "name": "rear",
+    # On the back rest. It sees from the ground below it to above the horizon: a chair does not back
+    # up over a strip that was never seen.
+    "p_BC_m": [-0.3, 0.0, 1.0],
+    "hfov_deg": 120.0,
+    "yaw_deg": 180.0,
+    "pitch_deg": -35.0,
+}
+
 # What the word "typical" stands for; a sensor that is not here has a table without keys.
 _TYPICAL: Final[dict[str, dict[str, Any]]] = {"noise": {"depth": {}, "classes": {}, "rgb": {}}}
 

@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from wcsim.config import RunConfig
-from wcsim.config.env import Form
+from wcsim.config import CameraConfig, RunConfig
+from wcsim.config.env import EnvConfig, Form
 from wcsim.core.jit import compile_exact_kernel
 from wcsim.errors import ConfigError
 from wcsim.supervisor.palette import make_cityscapes_class_table, make_class_palette
@@ -29,6 +29,7 @@ from wcsim.types import F32, F64, U8, CameraFrame, ClientSnapshot, ImuFrame, Mea
 Observation = dict[str, npt.NDArray[Any]]
 Measures = Mapping[str, Measure]
 _NO_MEASURES: Final[Measures] = MappingProxyType({})
+_NO_OTHERS: Final[Mapping[str, CameraConfig]] = MappingProxyType({})
 _WITHOUT_PICTURES: Final = (
     "env.observation=state has no pictures, and wcsim's networks and policies need them; expected "
     "env.observation=compact"
@@ -60,12 +61,18 @@ MOST_KINDS: Final = 16  # numbers of kinds in the first column, 0 where a row is
 
 
 def make_observation_space(
-    form: Form, width: int, height: int, imu: int = _IMU_SIZE, measures: Measures = _NO_MEASURES
+    form: Form,
+    width: int,
+    height: int,
+    imu: int = _IMU_SIZE,
+    measures: Measures = _NO_MEASURES,
+    others: Mapping[str, CameraConfig] = _NO_OTHERS,
 ) -> spaces.Dict:
     """The Gymnasium space of `make_observation`.
 
     Images are (C, height, width), `imu` numbers are those of the IMU. The sensors of `measures`
-    have entries of their own, by name. Raises ConfigError for an unknown form.
+    have entries of their own, by name, and so have the cameras of `others`, by what stands before
+    the keys of their images. Raises ConfigError for an unknown form.
     """
     if form not in get_args(Form):
         raise ConfigError(
@@ -80,20 +87,19 @@ def make_observation_space(
             name: spaces.Box(-1.0, 1.0, (len(m.parts),), np.float32) for name, m in measures.items()
         },
     }
-    if form != "table3":
-        planes = {"seg": 1, "depth": 1, **({"rgb": 3} if form == "compact_rgb" else {})}
-        images = {
-            key: spaces.Box(0, 255, (count, height, width), np.uint8)
-            for key, count in planes.items()
-        }
-        return spaces.Dict({**images, **vectors})
-    return spaces.Dict(
-        {
-            "segmentation": spaces.Box(0.0, 1.0, (3, height, width), np.float32),
-            "depth": spaces.Box(0.0, 1.0, (1, height, width), np.float32),
-            **vectors,
-        }
-    )
+    floats = form == "table3"
+    planes = {"segmentation" if floats else "seg": 3 if floats else 1, "depth": 1}
+    planes |= {"rgb": 3} if form == "compact_rgb" else {}
+    sizes = {"": (height, width)}
+    sizes |= {name: (camera.height_px, camera.width_px) for name, camera in others.items()}
+    images = {
+        name + key: spaces.Box(0.0, 1.0, (count, *size), np.float32)
+        if floats
+        else spaces.Box(0, 255, (count, *size), np.uint8)
+        for name, size in sizes.items()
+        for key, count in planes.items()
+    }
+    return spaces.Dict({**images, **vectors})
 
 
 def make_observation(snapshot: ClientSnapshot, config: RunConfig) -> Observation:
@@ -105,12 +111,16 @@ def make_observation(snapshot: ClientSnapshot, config: RunConfig) -> Observation
     Raises:
         ConfigError: There is no such camera or sensor, or no colours where they are asked for.
     """
-    sensors, env, eye = snapshot.sensors, config.env, config.eye
+    sensors, env = snapshot.sensors, config.env
     if env.observation == "state":
         raise ConfigError(_WITHOUT_PICTURES)
-    frame = _frame(sensors, eye.name)
-    fold = env.classes == "cityscapes"  # kerbs to sidewalk, crosswalk to road
-    vectors = {
+    images = {
+        name + key: image
+        for name, camera in config.eyes.items()
+        for key, image in _images(_frame(sensors, camera.name), env, camera.range_m).items()
+    }
+    return {
+        **images,
         "imu": _imu_vector(sensors.imu, env.observe_gyro, env.observe_yaw),
         "joystick": np.array([snapshot.user.x, snapshot.user.y], np.float32),
         **{
@@ -118,24 +128,29 @@ def make_observation(snapshot: ClientSnapshot, config: RunConfig) -> Observation
             for name, measure in config.sensors.measures().items()
         },
     }
+
+
+def _images(frame: CameraFrame, env: EnvConfig, range_m: float) -> Observation:
+    """The images of one camera in the configured form."""
+    fold = env.classes == "cityscapes"  # kerbs to sidewalk, crosswalk to road
     if env.observation != "table3":
         seg = _fold(frame.class_id) if fold else frame.class_id.copy()
-        images = {"seg": seg[None], "depth": encode_depth(frame.depth_m, eye.range_m)[None]}
+        images = {"seg": seg[None], "depth": encode_depth(frame.depth_m, range_m)[None]}
         if env.observation == "compact_rgb":
             if frame.rgb is None:
                 raise ConfigError(
-                    f"camera {eye.name!r} draws no colours; expected its setting rgb=true"
+                    f"camera {frame.name!r} draws no colours; expected its setting rgb=true"
                 )
             images["rgb"] = np.moveaxis(frame.rgb, 2, 0).copy()
-        return {**images, **vectors}
+        return images
     colours = _planes(fold)
     index = frame.class_id.astype(np.intp)
     image = np.empty((3, *index.shape), np.float32)
     for plane, colour in zip(image, colours, strict=True):
         # NumPy buffers `out` with the mode `raise`, and class ids are never out of bounds.
         np.take(colour, index, out=plane, mode="clip")
-    depth = np.multiply(frame.depth_m, np.float32(1.0 / eye.range_m), dtype=np.float32)
-    return {"segmentation": image, "depth": np.clip(depth, 0.0, 1.0, out=depth)[None], **vectors}
+    depth = np.multiply(frame.depth_m, np.float32(1.0 / range_m), dtype=np.float32)
+    return {"segmentation": image, "depth": np.clip(depth, 0.0, 1.0, out=depth)[None]}
 
 
 def make_state_observation_space() -> spaces.Box:

@@ -37,7 +37,7 @@ _FILM_PX: Final = 480
 
 def seen_picture(seen: Observation, config: RunConfig) -> U8:
     """What an observation shows, (2 H, W, 3): the newest classes above, their depth below; black without pictures."""
-    camera = config.cameras[0]
+    camera = config.eye
     range_m = camera.range_m
     if STATE_SENSE in seen:
         return np.zeros((2 * camera.height_px, camera.width_px, 3), np.uint8)

@@ -13,6 +13,7 @@ from wcsim.config import RunConfig
 from wcsim.core import files
 
 HEIGHT_PX, WIDTH_PX = 24, 32
+TWO = 'env.camera=["front","rear"]'
 SMALL = ("danger.batch=16", "danger.width=8", "sensors.odometry=typical", "env.observe_gyro=true")
 
 
@@ -27,11 +28,11 @@ def small_config(*overrides: str) -> RunConfig:
     return dqn_config(*SMALL, *overrides)
 
 
-def a_segment(rows: int = 24, seed: int = 0, ends: tuple[int, ...] = (9,)) -> DrivingSegment:
+def a_segment(rows: int = 24, seed: int = 0, ends: tuple[int, ...] = (9,), cameras: int = 1) -> DrivingSegment:
     """Steps of one chair after the other through noise; what lies ahead is unsafe where the depth is small."""
     rng = np.random.default_rng(seed)
     near = rng.random(rows) < 0.5
-    depth = np.where(near[:, None, None], 90, 200) + rng.integers(-20, 21, (rows, HEIGHT_PX, WIDTH_PX))
+    depth = np.where(near[:, None, None], 90, 200) + rng.integers(-20, 21, (rows, cameras * HEIGHT_PX, WIDTH_PX))
     codes = np.full((rows, 81), SAFE, np.uint8)
     codes[np.ix_(near, ACTIONS.points[:, 1] > 0.0)] = 3
     return DrivingSegment(
@@ -62,7 +63,7 @@ def write_segment(path: Path, segment: DrivingSegment) -> str:
 def lectures(config: RunConfig, rows: int = 64, seed: int = 0) -> Dataset:
     """Data of such a drive."""
     found = Dataset(config)
-    found.add(a_segment(rows, seed))
+    found.add(a_segment(rows, seed, cameras=len(config.eyes)))
     found.begin(np.random.default_rng(seed))
     return found
 
@@ -74,12 +75,13 @@ def all_of(lessons: Dataset) -> np.ndarray:
 
 def observation(config: RunConfig, tick: int = 0, seed: int = 0) -> dict[str, np.ndarray]:
     """What a chair of this configuration sees in a street of noise."""
-    camera = config.cameras[0]
-    rng = np.random.default_rng((seed, tick))
-    shape = (1, camera.height_px, camera.width_px)
+    rng, images = np.random.default_rng((seed, tick)), {}
+    for name, camera in config.eyes.items():
+        shape = (1, camera.height_px, camera.width_px)
+        images[f"{name}depth"] = rng.integers(60, 200, shape).astype(np.uint8)
+        images[f"{name}seg"] = rng.choice([7, 8, 11, 24, 26], shape).astype(np.uint8)
     return {
-        "depth": rng.integers(60, 200, shape).astype(np.uint8),
-        "seg": rng.choice([7, 8, 11, 24, 26], shape).astype(np.uint8),
+        **images,
         "imu": (0.02 * rng.normal(size=8)).astype(np.float32),
         "odometry": np.array([0.05 + 0.01 * tick, 0.02], np.float32),
         "joystick": np.array([0.3 * np.sin(tick / 5.0), 0.8], np.float32),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.agents.danger.sights import observation, small_config
+from tests.agents.danger.sights import TWO, observation, small_config
 from tests.support.samples import ACTIONS
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.policy import DangerPolicy
@@ -25,11 +25,9 @@ def policy_of(*words: str, base: float = -3.0) -> DangerPolicy:
     return DangerPolicy("own", net, config, RULE)
 
 
-@pytest.mark.parametrize(
-    "words", [(), ("danger.eye=picture",), ("danger.eye=both", "learn.network=fig6", "env.window=3")], ids=str
-)
+@pytest.mark.parametrize("words", [(), (TWO,)], ids=str)
 def test_a_policy_acts_and_a_reset_lets_it_drive_the_same_again(words):
-    policy, config = policy_of(*words), small_config()
+    policy, config = policy_of(*words), small_config(*words)
     assert isinstance(policy, Warns) and isinstance(policy, NeedsSenses)
     drives = []
     for _ in range(2):

@@ -3,25 +3,23 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from tests.agents.danger.sights import all_of, lectures, small_config
+from tests.agents.danger.sights import TWO, all_of, lectures, observation, small_config
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.policy import load_danger, load_net, save_danger
+from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core import files
-from wcsim.errors import PolicyError
+from wcsim.errors import ConfigError, PolicyError
 
 RULE = DangerRuleSettings(threshold=0.2, warn=0.6)
-EYES = (
-    (),
-    ("danger.eye=both", "learn.network=conv3d", "env.window=2"),
-    ("danger.eye=picture", "learn.network=patch"),
-)
+OLD = {"eye": "map", "network": "patch", "window": 1}  # what older policy files have beside the shape
 
 
 def saved(folder: Path, config: RunConfig) -> DangerNet:
@@ -31,7 +29,7 @@ def saved(folder: Path, config: RunConfig) -> DangerNet:
     return net
 
 
-@pytest.mark.parametrize("words", EYES, ids=str)
+@pytest.mark.parametrize("words", [(), (TWO,)], ids=str)
 def test_a_network_comes_back_as_it_was_saved(tmp_path: Path, words: tuple[str, ...]):
     config = small_config(*words)
     net = saved(tmp_path / "p", config)
@@ -70,7 +68,7 @@ def test_weights_that_are_not_those_of_the_description_are_refused(tmp_path: Pat
 @pytest.mark.parametrize(
     "key, value",
     [
-        *(("eye", "ear"), ("window", 0), ("width", 10**9), ("network", "no/name")),
+        *(("eye", "ear"), ("window", 1), ("width", 10**9)),
         *((part, 7) for part in ("schema_version", "algorithm", "net", "rule", "weights_sha256")),
     ],
 )
@@ -84,16 +82,43 @@ def test_a_description_out_of_bounds_is_refused(tmp_path: Path, key: str, value:
         load_net(tmp_path / "p")
 
 
-def test_somebody_elses_class_is_loaded_for_those_who_name_it_alone(tmp_path: Path):
-    config = small_config("danger.eye=picture", "learn.network=patch")
-    saved(tmp_path / "p", config)
-    path = tmp_path / "p" / POLICY_JSON
-    told = json.loads(path.read_text())
-    told["net"]["network"] = "wcsim.agents.networks.convolutional:PatchNet"
-    path.write_text(json.dumps(told))
-    with pytest.raises(PolicyError, match="--network"):
-        load_net(tmp_path / "p")
-    assert load_net(tmp_path / "p", told["net"]["network"])[0].spec.net.network == told["net"]["network"]
+def with_net(folder: Path, **parts: object) -> None:
+    told = json.loads((folder / POLICY_JSON).read_text())
+    (folder / POLICY_JSON).write_text(json.dumps({**told, "net": {**told["net"], **parts}}))
+
+
+def test_a_file_of_before_is_read_and_one_of_camera_pictures_refused(tmp_path: Path):
+    net = saved(tmp_path / "p", small_config())
+    with_net(tmp_path / "p", **OLD)
+    assert load_net(tmp_path / "p")[0].spec.net == net.spec.net
+    for eye in ("picture", "both"):
+        with_net(tmp_path / "p", **{**OLD, "eye": eye})
+        with pytest.raises(PolicyError, match=rf"eye is '{eye}'.* expected 'map': train it again"):
+            load_net(tmp_path / "p")
+        with pytest.raises(ConfigError, match=rf"eye is '{eye}'.* expected 'map': train it again"):
+            small_config(f"danger.eye={eye}")
+    assert small_config("danger.eye=map") == small_config()
+
+
+def test_several_cameras_are_those_of_the_training(tmp_path: Path):
+    two, one = small_config(TWO), small_config()
+    saved(tmp_path / "p", two)
+    for config, told in (
+        (one, r'2 cameras.* has 1; .*\["front", "rear"\]'),
+        (resolve(two, "cameras.1.yaw_deg=90"), "yaw"),
+    ):
+        with pytest.raises(PolicyError, match=told):
+            load_danger(tmp_path / "p", "own", config)
+    saved(tmp_path / "one", one)
+    alone, beside = (load_danger(tmp_path / "one", "own", config) for config in (one, two))
+    for tick in range(6):
+        seen = observation(two, tick)
+        assert beside.act(seen) == alone.act({key: seen[key] for key in observation(one)})
+        assert np.array_equal(beside.features.picture, alone.features.picture)
+    settings = DANGER_ROUNDS.policy_settings(tmp_path / "p")
+    assert load_danger(tmp_path / "p", "own", resolve("quick", settings)).senses == ("odometry", "gyro")
+    with pytest.raises(PolicyError, match="sees several cameras"):
+        DANGER_ROUNDS.require_exportable(tmp_path / "p", "own")
 
 
 def test_a_policy_of_another_camera_is_refused_and_a_level_replaces_its_own(tmp_path: Path):

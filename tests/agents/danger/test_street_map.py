@@ -1,6 +1,7 @@
 """The street from above, and what each joystick position sweeps over, in streets that are made of boxes."""
 
 import numpy as np
+import pytest
 
 from tests.agents.policies.test_baselines import box, looking_at
 from tests.support.samples import ACTIONS
@@ -19,7 +20,8 @@ from wcsim.agents.danger.street_map import (
     FeatureExtractor,
     sweep,
 )
-from wcsim.config import CameraConfig, RunConfig
+from wcsim.config import CameraConfig, RunConfig, resolve
+from wcsim.errors import PolicyError
 from wcsim.types import ClassId
 
 CAMERA = CameraConfig(width_px=96, height_px=72)
@@ -58,6 +60,20 @@ def test_what_was_seen_stays_while_the_chair_moves_and_grows_old():
     wall = cell(2.05 - eye.around.ego.pose_O[0], 0.05)
     assert moved.picture[(AGE, *wall)] == 255 - 5 * 5
     assert moved.picture[(HIGHEST, *wall)] > 200
+
+
+def test_one_map_is_written_from_all_cameras():
+    config = resolve(CONFIG, 'env.camera=["front","rear"]')
+    ahead, behind = box(2.0, 3.0, -3, 3, 0, 2), box(-1.4, -1.2, -3, 3, 0, 2)
+    seen = observation(ahead, kind=ClassId.SIDEWALK)
+    rear = looking_at(behind, camera=config.eyes["rear_"])
+    seen |= {"rear_depth": rear["depth"], "rear_seg": np.full_like(rear["seg"], ClassId.SIDEWALK)}
+    picture = FeatureExtractor(config).extract(seen).picture
+    for place in (cell(2.05, 0.05), cell(-1.25, 0.05)):
+        assert picture[(HIGHEST, *place)] > 200 and picture[(AGE, *place)] == 255
+    assert picture[(HIGHEST, *cell(-0.95, 0.05))] < 100 and picture[(KIND, *cell(-0.95, 0.05))] == 60
+    with pytest.raises(PolicyError, match="no rear_depth, rear_seg"):
+        FeatureExtractor(config).extract(observation(ahead))
 
 
 def test_people_leave_a_trail():

@@ -52,7 +52,7 @@ class Street:
     def sees(self, stick=(0.0, 0.0)):
         """The observation of a chair that stands level."""
         camera, (x, y, yaw, v, w, _) = self.config.cameras[0], self.chair
-        depth_m, seg = cast(self.eye, self.things, (x, y, yaw), camera)
+        depth_m, seg = cast(self.things, (x, y, yaw), camera)
         shape = (camera.height_px, camera.width_px)
         imu = np.array([0, 0, 0.25, 0, 0, 0, 0, w / 4.0], np.float32)
         return {
@@ -107,12 +107,12 @@ def _held(chair, commands, limits):
     return poses
 
 
-def cast(eye, things, pose, camera):
+def cast(things, pose, camera):
     """Depth in metres and class of each pixel."""
     x, y, yaw = pose
     rays = viewing_rays(camera)
     cos, sin = math.cos(yaw), math.sin(yaw)
-    ex, ey, ez = eye.around.eye_B_m
+    ex, ey, ez = camera.p_BC_m
     ox, oy = x + cos * ex - sin * ey, y + sin * ex + cos * ey
     rx, ry, rz = cos * rays[:, 0] - sin * rays[:, 1], sin * rays[:, 0] + cos * rays[:, 1], rays[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):

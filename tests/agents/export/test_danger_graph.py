@@ -145,7 +145,8 @@ def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
     assert beyond > 20 and len(set(chosen)) > 40 and doubtful > 20
 
 
-@pytest.mark.parametrize("eye", ["picture", "both"])
-def test_what_looks_at_pictures_cannot_be_exported(eye):
-    with pytest.raises(PolicyError, match=r"danger\.eye=map"):
-        DangerPolicyGraph(network(eye=eye), CONFIG, DangerRuleSettings())
+def test_what_sees_several_cameras_cannot_be_exported():
+    net = network()
+    net.spec = net.spec.model_copy(update={"more_cameras": CONFIG.cameras})
+    with pytest.raises(PolicyError, match=r"2 cameras cannot be exported; .*one name in env\.camera"):
+        DangerPolicyGraph(net, CONFIG, DangerRuleSettings())

@@ -88,15 +88,10 @@ def test_the_example_and_wcsim_do_the_same_with_bad_frames(made):
     assert 15 < tripped < 30
 
 
-def test_what_cannot_be_exported_or_read_is_refused_in_a_line(made, tmp_path):
-    seeing = network(eye="picture")
-    save_danger(tmp_path / "seeing", seeing, DangerRuleSettings(), CONFIG)
-    with pytest.raises(PolicyError, match=r"danger\.eye=picture cannot be exported"):
-        export_policy(*opened(tmp_path / "seeing"), tmp_path / "out", CONFIG, RIDE[:2])
+def test_a_guard_that_cannot_be_read_is_refused_in_a_line(tmp_path):
     (tmp_path / MEANING).write_text(json.dumps({"guard": {"oldest_s": -1.0}}))
     with pytest.raises(PolicyError, match="oldest_s"):
         read_guard_rule(tmp_path)
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("part", [{"imu": np.zeros(8)}, {"depth": np.zeros((1, 480, 640), np.uint8)}, {"seg": "sky"}])

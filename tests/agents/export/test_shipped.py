@@ -61,7 +61,7 @@ def test_a_folder_that_was_dropped_there_is_the_policy_of_that_name(there):
 
 def test_its_card_says_how_it_was_made_and_measured(made):
     card = (made / "MODEL_CARD.md").read_text()
-    for word in ("helsinki", "wcsim train --seed 3", "eye map", "crashes_own", "| 2 |", "## Limits", "seed | 3"):
+    for word in ("helsinki", "wcsim train --seed 3", "street map", "crashes_own", "| 2 |", "## Limits", "seed | 3"):
         assert word in card
     assert "No results" in TOOL["card"](open_run(made.parent / "run"), [])
 

@@ -18,7 +18,7 @@ from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import GROUPS, WCSIM_GROUPS, ObservationEncoder, _group_table
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.q_network import QNet
-from wcsim.config import RewardConfig
+from wcsim.config import CameraConfig, RewardConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import PolicyError
 from wcsim.supervisor.observation import make_observation_space
@@ -55,6 +55,12 @@ def q_net(height=60, width=80, frames=1, **spec):
 def test_any_image_size_gives_a_value_for_each_action(network, size):
     net = q_net(*size, network=network)
     assert net(batch(*size, [(0, 0), (1, 0)])).shape == (2, 81)
+
+
+def test_a_network_of_one_camera_refuses_the_images_of_others():
+    seen = make_observation_space("compact", 80, 60, others={"rear_": CameraConfig()})
+    with pytest.raises(PolicyError, match=r"sees one camera, .* rear_depth, rear_seg; .* env\.camera"):
+        QNet(seen, gym.spaces.Discrete(81), NetSpec())
 
 
 def test_patch_has_about_a_fifth_of_a_million_parameters():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from wcsim.agents.perception.street_memory import (
+    AXLE_ROW,
     CELL_M,
     COLUMNS,
     FORGET_M,
@@ -34,7 +35,7 @@ def measured(*places):
     """A raster in which there is level ground at some places."""
     low_m = UNSEEN.copy()
     for x, y in places:
-        low_m[math.floor(x / CELL_M), math.floor((y + REACH_M) / CELL_M)] = 0.0
+        low_m[AXLE_ROW + math.floor(x / CELL_M), math.floor((y + REACH_M) / CELL_M)] = 0.0
     return low_m
 
 

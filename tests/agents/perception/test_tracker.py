@@ -21,31 +21,39 @@ from wcsim.agents.perception.clusters import (
 from wcsim.agents.perception.clusters import (
     Y as AT_Y,
 )
-from wcsim.agents.perception.depth_image import viewing_rays
+from wcsim.agents.perception.depth_image import CameraView
 from wcsim.agents.perception.tracker import MoverTracker
 from wcsim.config import CameraConfig
 from wcsim.types import ClassId
 
-CAMERA = CameraConfig(width_px=80, height_px=60)
-RAYS = np.ascontiguousarray(viewing_rays(CAMERA), np.float32)
-EYE, UP = np.array(CAMERA.p_BC_m), np.array([0.0, 0.0, 1.0])
+FRONT = CameraConfig(width_px=80, height_px=60)
+REAR = FRONT.model_copy(update={"yaw_deg": 180.0, "p_BC_m": (-0.3, 0.0, 1.0)})
+UP = np.array([0.0, 0.0, 1.0])
 
 
-def seen(*boxes, pose=(0.0, 0.0, 0.0)):
+def seen(*boxes, pose=(0.0, 0.0, 0.0), camera=FRONT):
     """Clusters and cells of upright boxes (class, x0, x1, y0, y1, height) in B on level ground, the nearest drawn."""
-    depth = np.full(len(RAYS), 39.9)
-    classes = np.full(len(RAYS), ClassId.BUILDING, np.uint8)
+    view = CameraView(camera)
+    depth = np.full(len(view.rays), 39.9)
+    classes = np.full(len(view.rays), ClassId.BUILDING, np.uint8)
     for t in np.arange(12.0, 0.3, -0.02):
-        x, y, z = (EYE + RAYS * t).T
+        x, y, z = (view.eye_B_m + view.rays * t).T
         for kind, x0, x1, y0, y1, height in boxes:
             hit = (x > x0) & (x < x1) & (y > y0) & (y < y1) & (z > 0.0) & (z < height)
             depth[hit], classes[hit] = t, kind
     picture = make_class_mobility_table()[classes].reshape(60, 80)
-    return find_movable_clusters(picture, depth.astype(np.float32), RAYS, EYE, 39.0, UP, np.array(pose, float))
+    view.depth_m = depth.astype(np.float32)
+    return find_movable_clusters(picture, view, UP, np.array(pose, float))
 
 
 def person(x, y, kind=ClassId.PERSON):
     return (kind, x, x + 0.3, y - 0.25, y + 0.25, 1.75)
+
+
+def test_a_person_behind_is_a_cluster_of_the_rear_camera():
+    (one,), cells, _ = seen(person(-4.3, 0.5), camera=REAR)
+    assert (one[AT_X], one[AT_Y]) == pytest.approx((-4.0, 0.5), abs=0.2) and (cells[:, 0] < -3.5).all()
+    assert not len(seen(person(-4.3, 0.5))[0])
 
 
 def test_two_people_are_two_clusters_and_a_post_is_none():

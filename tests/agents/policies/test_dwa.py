@@ -17,7 +17,7 @@ from wcsim.agents.perception.arcs import (
     measure_obstacle_gaps,
     time_to_contact_s,
 )
-from wcsim.agents.perception.depth_image import viewing_rays
+from wcsim.agents.perception.depth_image import CameraView
 from wcsim.agents.perception.street_memory import KEEP_BRIEFLY_S, StepObstacleDetector
 from wcsim.agents.perception.surroundings import _up_in_body
 from wcsim.agents.policies.baselines import make_baseline_policy
@@ -45,11 +45,9 @@ def view_of(surface):
 
 def obstacles(surface):
     """What the step map says of a surface, (n, 2)."""
-    seen = view_of(surface)
-    depth_m = decode_depth(seen["depth"].reshape(-1), CAMERA.range_m)
-    rays = viewing_rays(CAMERA).astype(np.float32)
-    eye_m, up = np.array(CAMERA.p_BC_m), _up_in_body(seen["imu"])
-    return StepObstacleDetector().obstacles(depth_m, rays, eye_m, (0.1, 39.0), up, CHAIR).copy()
+    seen, view = view_of(surface), CameraView(CAMERA)
+    view.observe(seen)
+    return StepObstacleDetector().obstacles([view], _up_in_body(seen["imu"]), CHAIR).copy()
 
 
 def drive(surface, ticks, stick=AHEAD, driver=None):
@@ -98,12 +96,10 @@ def test_a_kerb_beside_the_way_is_seen_along_its_length():
 
 
 def test_what_was_not_measured_is_nothing():
-    rays = viewing_rays(CAMERA).astype(np.float32)
+    view = CameraView(CAMERA)
     for depth in (0.0, CAMERA.range_m):
-        depth_m = np.full(len(rays), depth, np.float32)
-        found = StepObstacleDetector().obstacles(
-            depth_m, rays, np.array(CAMERA.p_BC_m), (0.1, 39.0), np.array([0.0, 0.0, 1.0]), CHAIR
-        )
+        view.depth_m = np.full(len(view.rays), depth, np.float32)
+        found = StepObstacleDetector().obstacles([view], np.array([0.0, 0.0, 1.0]), CHAIR)
         assert (found[:, 0] < 4.0).sum() == 0 or depth > 0.0  # far below the horizon, no ground is a drop
 
 
@@ -264,6 +260,16 @@ def test_backwards_it_goes_where_it_has_been_and_hardly_farther():
     drive(ground, 30, driver=driver)
     drive(ground, 20, (0.0, 0.0), driver)
     assert drive(ground, 1, back, driver) == [back]
+
+
+def test_with_a_rear_camera_it_backs_up_as_far_as_the_ground_goes():
+    back, config = (0.0, -1.0), resolve(CONFIG, 'env.camera=["front","rear"]')
+    for surface, backs in ((ground, True), (lambda x, y, z: z <= np.where(x < -0.6, -0.12, 0.0), False)):
+        rear = looking_at(surface, camera=config.eyes["rear_"])
+        view = {**view_of(ground), "rear_depth": rear["depth"], "rear_seg": rear["seg"]}
+        driver = make_baseline_policy("dwa", config)
+        seen = [tuple(POINTS[driver.act({**view, "joystick": np.array(back, np.float32)})]) for _ in range(12)]
+        assert (seen[-1] == back) == backs, surface
 
 
 def test_a_wall_goes_on_beside_the_chair_where_it_does_not_look():

@@ -24,6 +24,7 @@ from wcsim.agents.runs.data_folder import (
     segment_path_from_name,
     write_data_manifest,
 )
+from wcsim.config import resolve
 from wcsim.errors import PolicyError
 
 KEY = DrivingSegmentKey(run=1, round=2, index=3)
@@ -198,6 +199,14 @@ def test_data_of_another_camera_is_refused_and_told(tmp_path: Path):
     ):
         with pytest.raises(PolicyError, match=other.partition("=")[0]):
             require_same_data_settings(tmp_path, file, dqn_config(other))
+    two = 'env.camera=["front","rear"]'
+    with pytest.raises(PolicyError, match=r"env\.camera"):
+        require_same_data_settings(tmp_path, file, dqn_config(two))
+    write_data_manifest(tmp_path, dqn_config(two), {"corner": TOWN}, {})
+    require_same_data_settings(tmp_path, read_data_manifest(tmp_path), dqn_config(two))
+    with pytest.raises(PolicyError, match=r"cameras\.1\.pitch_deg"):
+        turned = resolve(dqn_config(two), "cameras.1.pitch_deg=0")
+        require_same_data_settings(tmp_path, read_data_manifest(tmp_path), turned)
 
 
 def test_a_wheelchair_of_ones_own_is_known_by_what_its_file_says(tmp_path: Path):

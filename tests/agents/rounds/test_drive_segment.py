@@ -84,6 +84,11 @@ def test_who_learns_from_crashes_asks_no_oracle_and_drives_in_the_same_world(cor
 def test_an_oracle_that_would_drive_is_refused_where_crashes_teach():
     with pytest.raises(ConfigError, match=r"follow_share=0\.4 lets the oracle drive; expected 1"):
         require_recordable(dqn_config("danger.teacher=crashes"))
+    two = dqn_config('env.camera=["front","rear"]')
+    require_recordable(two)
+    for words in ('env.camera=["rear","front"]', "cameras.1.width_px=40"):
+        with pytest.raises(ConfigError, match="in their order, of one width_px"):
+            require_recordable(resolve(two, words))
     with pytest.raises(ConfigError, match="expected the shorter time first"):
         dqn_config("collect.astray_ticks=[12,4]")
 

@@ -73,9 +73,8 @@ def test_a_run_leaves_data_rounds_and_a_policy_that_drives(straight: Path):
 
 
 @pytest.mark.proof
-def test_a_network_of_pictures_is_trained_in_rounds(corner: Path, corner_town: Town, tmp_path: Path):
-    words = ("danger.eye=both", "learn.network=fig6", "env.window=2")
-    run = run_in(corner, tmp_path / "seen", *words, "collect.segments=1")
+def test_a_network_of_two_cameras_is_trained_in_rounds(corner: Path, corner_town: Town, tmp_path: Path):
+    run = run_in(corner, tmp_path / "seen", 'env.camera=["front","rear"]', "collect.segments=1")
     train_danger(run, corner_town)
     policy = load_danger(run.out / "policies" / "final", "own", run.config)
     assert policy.senses == ("odometry", "gyro")

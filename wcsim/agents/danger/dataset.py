@@ -7,7 +7,6 @@ import numpy as np
 import torch
 import zstandard
 
-from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.street_map import (
     EACH_SLICE,
     HOLD_S,
@@ -18,35 +17,21 @@ from wcsim.agents.danger.street_map import (
     FeatureExtractor,
     sweep,
 )
-from wcsim.agents.perception.depth_image import is_camera_mirror_symmetric
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
-from wcsim.agents.runs.data_folder import ORACLE, DrivingSegment, mask_soon_unsafe_actions
+from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
+from wcsim.agents.runs.data_folder import ORACLE, DrivingSegment, mask_soon_unsafe_actions, segment_images
 from wcsim.config import RunConfig
 from wcsim.core.reading import decompress_zstd
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.types import F32, F64, I32, I64, U8, Bool
+from wcsim.types import F32, F64, I32, I64, U8
 
 Inputs = tuple[torch.Tensor, ...]
-"""Picture, vector, swept cells and frames, see `DangerNet.forward`."""
+"""Picture, vector and swept cells, see `DangerNet.forward`."""
 _START_MIRRORED = (1, 2, 4)  # y, yaw, w
 UNKNOWN: Final = 2  # label of a joystick position that nobody tried
 _SHARED = 0.26  # so near on the joystick positions share a label: they lie 0.25 apart
 _HELD = 0.5  # so near it is the same stick still, in a hand that trembles
 _LEVEL = 1  # of zstd
-
-
-def _frame_windows(ended: Bool, frames: int) -> I64:
-    """(N, frames) the rows whose pictures are seen in each of N successive steps; none is of an episode before.
-
-    >>> _frame_windows(np.array([False, False, True, False]), 2).tolist()
-    [[0, 0], [0, 1], [1, 2], [3, 3]]
-    """
-    rows = np.arange(len(ended))
-    begins = np.concatenate([[True], ended[:-1]])
-    first = np.maximum.accumulate(np.where(begins, rows, 0))
-    seen: I64 = np.maximum(rows[:, None] - np.arange(frames - 1, -1, -1), first[:, None])
-    return seen
 
 
 def _happened(segment: DrivingSegment, actions: ActionSet, ahead: int, tick_s: float) -> U8:
@@ -95,15 +80,10 @@ class Dataset:
     """
 
     def __init__(self, config: RunConfig) -> None:
-        self._config, self._spec = config, spec_of(config)
-        self._rng, self._extractor = np.random.default_rng(0), FeatureExtractor(config, street=self._spec.street)
-        # A street map lies around the chair wherever its camera looks; pictures need one that looks straight ahead.
-        self._may_mirror = not self._spec.pictures or is_camera_mirror_symmetric(config.cameras[0])
-        self._size = (2, config.cameras[0].height_px, config.cameras[0].width_px)
+        self._config = config
+        self._rng, self._extractor = np.random.default_rng(0), FeatureExtractor(config)
         self._actions = action_set(config.env.actions)
         self._pictures: list[bytes] = []  # of each step: zstd, (PLANES, SIDE, SIDE) uint8
-        self._frames: list[bytes] = []  # zstd, (2, H, W) uint8: classes, depth; empty without `danger.eye` of pictures
-        self._windows: list[I64] = []  # (T,) which of the frames are seen, the newest last
         self._vectors: list[F32] = []  # (VECTOR,)
         self._starts: list[F32] = []  # (6,)
         self._unsafe: list[U8] = []  # (A,) 1, 0, or UNKNOWN
@@ -116,7 +96,7 @@ class Dataset:
         Raises:
             PolicyError: It has labels for other actions, or the oracle drove though nobody is to learn from it.
         """
-        first, spec, unsafe = len(self), self._spec, self._labels(segment)
+        first, unsafe = len(self), self._labels(segment)
         extractors: dict[int, FeatureExtractor] = {}
         begins = True
         for row in range(len(segment)):
@@ -124,13 +104,12 @@ class Dataset:
             if begins:
                 # Where roll-outs begin depends on the delay, which an episode may draw.
                 if delay not in extractors:
-                    extractors[delay] = FeatureExtractor(self._config, delay, spec.street, spec.pictures)
+                    extractors[delay] = FeatureExtractor(self._config, delay)
                 extractor = extractors[delay]
                 extractor.forget()
             features = extractor.extract(
                 {
-                    DEPTH_KEY: segment.depth[row][None],
-                    CLASS_KEY: segment.seg[row][None],
+                    **segment_images(segment, row, self._config.eyes),
                     IMU_KEY: segment.imu[row],
                     ODOMETRY_KEY: segment.odometry[row],
                     JOYSTICK_KEY: segment.wish[row],
@@ -139,11 +118,9 @@ class Dataset:
             extractor.command(int(segment.action[row]))
             # Packed at once: the pictures of a whole segment would take a hundred times the memory.
             self._pictures.append(_packed(features.picture))
-            self._frames += [_packed(features.frames[-1])] if spec.pictures else []
             self._vectors.append(features.vector)
             self._starts.append(features.start)
             begins = bool(segment.ended[row])
-        self._windows += list(first + _frame_windows(segment.ended, spec.pictures))
         self._unsafe += list(unsafe)
         self._tight = np.concatenate([self._tight, first + np.flatnonzero((unsafe == 1).any(axis=1))])
         self._told = np.concatenate([self._told, first + np.flatnonzero((unsafe < UNKNOWN).any(axis=1))])
@@ -176,7 +153,7 @@ class Dataset:
         return len(self._tight) / max(len(self), 1)
 
     def draw(self) -> _Batch:
-        """A batch, a share of it from steps in which something is unsafe, mirrored half of the time if it may be.
+        """A batch, a share of it from steps in which something is unsafe, mirrored half of the time.
 
         Raises:
             PolicyError: Nothing is known of any step.
@@ -192,47 +169,42 @@ class Dataset:
                 self._told[rng.integers(0, len(self._told), size - tight)],
             ]
         )
-        return self.batch(picks, mirror=bool(rng.random() < 0.5) and self._may_mirror)
+        # A street map lies around the chair wherever its cameras look.
+        return self.batch(picks, mirror=bool(rng.random() < 0.5))
 
     def batch(self, picks: I64, mirror: bool = False) -> _Batch:
         """These steps, (B,)."""
         rows = picks.tolist()
         pictures = _unpacked([self._pictures[row] for row in rows], PLANES * SIDE * SIDE)
         picture = pictures.reshape(-1, PLANES, SIDE, SIDE)
-        seen = [self._frames[at] for row in rows for at in self._windows[row].tolist()]
-        frames = _unpacked(seen, int(np.prod(self._size))).reshape(len(rows), -1, *self._size)
         vector = np.stack([self._vectors[row] for row in rows])
         # Through float32 to float64, as `Features.batch` does: learned and driven roll-outs are equal to the bit.
         start = np.stack([self._starts[row] for row in rows]).astype(np.float64)
         unsafe = np.stack([self._unsafe[row] for row in rows])
         if mirror:
             picture, unsafe = picture[..., ::-1].copy(), unsafe[:, self._actions.mirror]
-            frames = frames[..., ::-1].copy()
             # What turns or leans changes its sign with the sides. Otherwise left would teach right the wrong way.
             vector[:, MIRRORED] *= -1.0
             start[:, _START_MIRRORED] *= -1.0
-        street, *rest = to_tensors(self._extractor, picture, vector, start, frames)
+        street, *rest = to_tensors(self._extractor, picture, vector, start)
         return _Batch(
             inputs=(street.contiguous(memory_format=torch.channels_last), *rest),
             unsafe=torch.from_numpy(unsafe).float(),
         )
 
 
-def to_tensors(extractor: FeatureExtractor, picture: U8, vector: F32, start: F64, frames: U8) -> Inputs:
+def to_tensors(extractor: FeatureExtractor, picture: U8, vector: F32, start: F64) -> Inputs:
     """What the network is called with, for a batch of B steps of chairs like that of `extractor`."""
     return (
         torch.from_numpy(picture).float().div_(255.0),
         torch.from_numpy(vector),
         torch.from_numpy(_swept(extractor, start)).long(),
-        torch.from_numpy(frames),
     )
 
 
 def _swept(extractor: FeatureExtractor, starts: F64) -> I32:
-    """Over which cells each action sweeps (B, A, n) from these states (B, 6); n is 0 without a street map."""
+    """Over which cells each action sweeps (B, A, n) from these states (B, 6)."""
     around = extractor.around
-    if not extractor.street:
-        return np.zeros((len(starts), len(around.commands), 0), np.int32)
     swept = np.empty((len(starts), len(around.commands), SLICES * EACH_SLICE * len(extractor.chair)), np.int32)
     sweep(starts, around.commands, around.limits, extractor.chair, swept)
     return swept

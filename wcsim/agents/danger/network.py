@@ -1,21 +1,17 @@
 """The danger network: 81 logits, one for each joystick position, of "this ends badly"; the user's wish is no input.
 
-Its heads are added up. On the street map (eye `map`): a roll-out head, which paints cost maps of the street and reads
-them where each position would bring the chair, and a context head on the street map as a whole. On the camera's
-pictures (eye `picture`): a network of the registry, then a dense layer. `both` has all of them.
+Its heads are added up: a roll-out head, which paints cost maps of the street and reads them where each position would
+bring the chair, and a context head on the street map as a whole.
 """
 
 import math
 from typing import Final
 
-import numpy as np
 import torch
-from gymnasium import spaces
 from torch import nn
 from torch.nn import functional
 
 from wcsim.agents.danger.street_map import PLANES, SIDE, SLICES, VECTOR
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerNetworkShape, DangerNetworkSpec
 from wcsim.supervisor.actions import action_set
@@ -25,16 +21,10 @@ _BASE: Final = -3.0  # so rare are dangers before anything is learned
 
 
 def spec_of(config: RunConfig) -> DangerNetworkSpec:
-    """The network that a run's configuration asks for. Raises PolicyError when there is no such network."""
-    danger, network, window = config.danger, "patch", 1
-    if danger.eye != "map":
-        from wcsim.agents.networks.registry import preferred_window_size
-
-        network = config.learn.network
-        window = config.env.window or preferred_window_size(network)
-    width, actions, eye = danger.width, config.env.actions, danger.eye
-    net = DangerNetworkShape(width=width, actions=actions, eye=eye, network=network, window=window)
-    return DangerNetworkSpec(net=net, camera=config.cameras[0], classes=config.env.classes)
+    """The network that a run's configuration asks for."""
+    net = DangerNetworkShape(width=config.danger.width, actions=config.env.actions)
+    first, *more = config.eyes.values()
+    return DangerNetworkSpec(net=net, camera=first, more_cameras=tuple(more), classes=config.env.classes)
 
 
 class DangerNet(nn.Module):
@@ -48,48 +38,33 @@ class DangerNet(nn.Module):
         super().__init__()
         self.spec = spec
         count, width = len(action_set(spec.net.actions)), spec.net.width
-        self.roll_out, self.context, self.pictures = None, None, None
-        if spec.street:
-            self.down = nn.Sequential(
-                *(nn.Conv2d(PLANES, width, 4, stride=2, padding=1), nn.ReLU()),
-                *(nn.Conv2d(width, width, 3, padding=1), nn.ReLU()),
-            )
-            self.deep = nn.Sequential(
-                *(nn.Conv2d(width, 32, 4, stride=2, padding=1), nn.ReLU()),
-                *(nn.Conv2d(32, 32, 3, padding=1), nn.ReLU()),
-            )
-            self.roll_out = _RollOutHead(width)
-            self.context = Context(count)
-        if spec.net.eye != "map":
-            self.pictures = _PictureHead(spec, count)
+        self.down = nn.Sequential(
+            *(nn.Conv2d(PLANES, width, 4, stride=2, padding=1), nn.ReLU()),
+            *(nn.Conv2d(width, width, 3, padding=1), nn.ReLU()),
+        )
+        self.deep = nn.Sequential(
+            *(nn.Conv2d(width, 32, 4, stride=2, padding=1), nn.ReLU()),
+            *(nn.Conv2d(32, 32, 3, padding=1), nn.ReLU()),
+        )
+        self.roll_out = _RollOutHead(width)
+        self.context = Context(count)
         # The order of these modules is the order of the random draws: another one gives another network for a seed.
         self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), _small_init(nn.Linear(48, count)))
         self.base = nn.Parameter(torch.tensor(_BASE))
 
-    def forward(
-        self,
-        picture: torch.Tensor,
-        vector: torch.Tensor,
-        swept: torch.Tensor,
-        frames: torch.Tensor | None = None,
-    ) -> torch.Tensor:
+    def forward(self, picture: torch.Tensor, vector: torch.Tensor, swept: torch.Tensor) -> torch.Tensor:
         """Logits (B, A).
 
         Args:
             picture: (B, PLANES, SIDE, SIDE) float32 in 0..1.
             vector: (B, VECTOR) float32.
-            swept: (B, A, n) int64, see `street_map.sweep`; not looked at with the eye `picture`.
-            frames: (B, T, 2, H, W) uint8, class ids and depth; not looked at with the eye `map`.
+            swept: (B, A, n) int64, see `street_map.sweep`.
         """
         logit = self.base + self.direct(vector)
-        if self.roll_out is not None and self.context is not None:
-            near = self.down(picture)
-            far = self.deep(near)
-            logit = logit + self.context(far, vector)
-            logit = logit + self.roll_out(picture, near, far, swept)
-        if self.pictures is not None and frames is not None:
-            logit = logit + self.pictures(frames, vector)
-        return torch.as_tensor(logit)
+        near = self.down(picture)
+        far = self.deep(near)
+        logit = logit + self.context(far, vector)
+        return torch.as_tensor(logit + self.roll_out(picture, near, far, swept))
 
 
 def channels_last(net: DangerNet) -> DangerNet:
@@ -146,29 +121,3 @@ class Context(nn.Module):
     def forward(self, far: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
         """(B, A)."""
         return torch.as_tensor(self.out(self.dense(torch.cat([self.squeeze(far), vector], 1))))
-
-
-class _PictureHead(nn.Module):
-    """The camera's last pictures through a network of the registry.
-
-    It is given the sight's vector in the place of the IMU's, and nothing in that of the joystick.
-
-    Raises:
-        PolicyError: There is no such network, or it cannot see so many pictures.
-    """
-
-    def __init__(self, spec: DangerNetworkSpec, count: int) -> None:
-        super().__init__()
-        from wcsim.agents.networks.encoder import ObservationEncoder  # and with it Stable-Baselines3
-
-        image = spaces.Box(0, 255, (spec.net.window, spec.camera.height_px, spec.camera.width_px), np.uint8)
-        vector, none = (spaces.Box(-2.0, 2.0, (size,), np.float32) for size in (VECTOR, 0))
-        space = spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, IMU_KEY: vector, JOYSTICK_KEY: none})
-        self.encoder = ObservationEncoder(space, spec.net.network, spec.classes)
-        self.dense = nn.Sequential(nn.Linear(self.encoder.features_dim + VECTOR, 64), nn.ReLU())
-        self.out = _small_init(nn.Linear(64, count))
-
-    def forward(self, frames: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
-        """(B, A)."""
-        seen = {CLASS_KEY: frames[:, :, 0], DEPTH_KEY: frames[:, :, 1], IMU_KEY: vector, JOYSTICK_KEY: vector[:, :0]}
-        return torch.as_tensor(self.out(self.dense(torch.cat([self.encoder(seen), vector], 1))))

@@ -12,16 +12,14 @@ import numpy as np
 import torch
 
 from wcsim.agents.danger.dataset import to_tensors
-from wcsim.agents.danger.network import DangerNet, channels_last
+from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.street_map import FeatureExtractor, Features
-from wcsim.agents.networks.names import NETWORK_NAMES, require_trusted_network
 from wcsim.agents.perception.alarm import AlarmState, next_alarm_state
 from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, HearsSent, NotFinite, Observation, require_level
 from wcsim.agents.runs.policy_file import read_danger_policy_file, require_danger_policy_fits
 from wcsim.agents.runs.weights import load_network, write_policy_folder
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRuleSettings
-from wcsim.core.reading import escape
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, Bool
 
@@ -108,7 +106,7 @@ class DangerPolicy(HearsSent):
     Args:
         name: How tables call it.
         net: The network; it may be shared by policies that act in turn.
-        config: Of the run: its first camera is seen, and its chair driven.
+        config: Of the run: its cameras of `env.camera` are seen, and its chair driven.
         rule: From dangers to an action.
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
     """
@@ -120,7 +118,10 @@ class DangerPolicy(HearsSent):
         self.rule, self._net, self._alarm = rule, net, AlarmState()
         self._device = next(net.parameters()).device
         self._actions = action_set(config.env.actions)
-        self.extractor = FeatureExtractor(config, delay_ticks, net.spec.street, net.spec.pictures)
+        # A network of one camera sees that alone, whatever else is in the observation.
+        names = [camera.name for camera in config.eyes.values()][: 1 + len(net.spec.more_cameras)]
+        env = config.env.model_copy(update={"camera": names})
+        self.extractor = FeatureExtractor(config.model_copy(update={"env": env}), delay_ticks)
         self._last, self._recent = -1, 0
         self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)  # (A,) above the threshold at the last choice
         self.features: Features  # of the newest observation
@@ -200,35 +201,22 @@ def save_danger(
         "algorithm": "danger",
         "net": net.spec.net.model_dump(),
         "rule": rule.model_dump(),
-        "camera": config.cameras[0].model_dump(mode="json"),
-        "classes": config.env.classes,
+        **spec_of(config).model_dump(mode="json", exclude={"net"}),
         "chair": config.chair.model_dump(mode="json"),
         "manifest_sha256": manifest_sha256,
     }
     return write_policy_folder(folder, net, said)
 
 
-def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, DangerRuleSettings]:
-    """The network of a policy folder, and its rule.
-
-    Args:
-        folder: Of the policy.
-        network: Somebody's own class that may be loaded to look at pictures, `module:Class`.
-
-    Raises:
-        PolicyError: A file is missing, damaged or unfit, or the policy has a class of its own that was not named.
-    """
+def load_net(folder: Path) -> tuple[DangerNet, DangerRuleSettings]:
+    """The network of a policy folder, and its rule. Raises PolicyError: a file is missing, damaged or unfit."""
     file = read_danger_policy_file(folder)
-    if file.net.eye != "map" and file.net.network not in NETWORK_NAMES:
-        require_trusted_network(escape(folder), file.net.network, network)
     net = load_network(folder, file.weights_sha256, lambda: DangerNet(file))
     net.train(False)
     return channels_last(net), file.rule
 
 
-def load_danger(
-    folder: Path, name: str, config: RunConfig, level: float | None = None, network: str | None = None
-) -> DangerPolicy:
+def load_danger(folder: Path, name: str, config: RunConfig, level: float | None = None) -> DangerPolicy:
     """A policy for one chair.
 
     Args:
@@ -236,11 +224,10 @@ def load_danger(
         name: How tables call it.
         config: Of the run in which it drives.
         level: Of assistance, a threshold of danger; None for the policy's own.
-        network: See `load_net`.
 
     Raises:
         PolicyError: It cannot be loaded, or was trained with another camera, class form or action set.
     """
     require_danger_policy_fits(folder, name, config)
-    net, rule = load_net(folder, network)
+    net, rule = load_net(folder)
     return DangerPolicy(name, net, config, rule if level is None else rule.model_copy(update={"threshold": level}))

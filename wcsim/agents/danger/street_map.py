@@ -1,6 +1,6 @@
 """What the danger network is shown at a tick: the street from above around the chair, and how the chair moves.
 
-Cells of 0.1 m lie in the odometric frame O and are written anew whenever they are seen: what the camera showed in the
+Cells of 0.1 m lie in the odometric frame O and are written anew whenever they are seen: what the cameras showed in the
 last seconds, and what moves. The picture is read out of them around the chair, 1.6 m behind its axle to 4.8 m ahead.
 Its first row is the farthest ahead, its first column the farthest to the left.
 
@@ -49,7 +49,6 @@ COMMANDS: Final = 3  # last ones that are an input
 TILT: Final = slice(3, 5)  # roll and pitch in the IMU vector
 TURNS: Final = slice(5, 8)  # turn rates there
 FULL_MOTION: Final = (1.67, 1.5, 2.0)  # speed, turn rate and acceleration that are 1 in the vector
-_KEYS: Final = (DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY)
 _STARTS: Final = 4  # v, w, acceleration, delay
 VECTOR: Final = 2 + 3 + _STARTS + 2 * COMMANDS
 MIRRORED: Final = (0, 2, 4, 6, *range(9, VECTOR, 2))  # numbers that change their sign when left and right change places
@@ -181,29 +180,27 @@ class Features:
     picture: U8  # (PLANES, SIDE, SIDE) see `street_map`
     vector: F32  # (VECTOR,) roll, pitch, turn rates, v, w, acceleration, delay, the last commands (x, y)
     start: F32  # (6,) where roll-outs begin, see `sweep`
-    frames: U8  # (T, 2, H, W) class ids and depth of the last T ticks, the newest last; the first one fills the window
 
-    def batch(self) -> tuple[U8, F32, F64, U8]:
-        """Picture, vector, start and frames as those of a batch of one."""
+    def batch(self) -> tuple[U8, F32, F64]:
+        """Picture, vector and start as those of a batch of one."""
         # `sweep` reckons in float64, with what the data keeps in float32: learned and driven roll-outs are equal.
-        return self.picture[None], self.vector[None], self.start[None].astype(np.float64), self.frames[None]
+        return self.picture[None], self.vector[None], self.start[None].astype(np.float64)
 
 
 class FeatureExtractor:
     """Makes the features of one chair, from tick to tick: `extract`, then `command`.
 
     Args:
-        config: Of the run: its first camera is seen, and its chair driven.
+        config: Of the run: its cameras of `env.camera` are seen, and its chair driven.
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
-        street: Whether it makes the street map, and over which cells of it each action sweeps.
-        pictures: How many of the last ticks' pictures are shown as they are.
     """
 
-    def __init__(
-        self, config: RunConfig, delay_ticks: int | None = None, street: bool = True, pictures: int = 0
-    ) -> None:
-        self.street, self._pictures = street, pictures
-        self._shape = (2, config.cameras[0].height_px, config.cameras[0].width_px)
+    def __init__(self, config: RunConfig, delay_ticks: int | None = None) -> None:
+        self._shapes = {
+            prefix + key: (camera.height_px, camera.width_px)
+            for prefix, camera in config.eyes.items()
+            for key in (DEPTH_KEY, CLASS_KEY)
+        }
         self._actions = action_set(config.env.actions)
         spec = plant_spec(config.chair)
         self.around = StreetPerception(config, self._actions, spec.outline, delay_ticks)
@@ -221,18 +218,14 @@ class FeatureExtractor:
         self._cells[:] = 0
         self._tick = 0
         self._sent = np.zeros((COMMANDS, 2))
-        self._frames: U8 = np.empty((0, *self._shape), np.uint8)
 
     def extract(self, observation: Observation) -> Features:
         """Take the observation of a new tick. Raises PolicyError when it lacks a sense, or is of another camera."""
         self._require(observation)
         picture = np.zeros((PLANES, SIDE, SIDE), np.uint8)
-        if self.street:
-            self.around.observe_motion_and_depth(observation)
-            self._see(observation)
-            _read(self.around.ego.pose_O, self._tick, self._cells, self._heights_m, picture)
-        else:
-            self.around.observe_motion(observation)
+        self.around.observe_motion_and_depth(observation)
+        self._see(observation)
+        _read(self.around.ego.pose_O, self._tick, self._cells, self._heights_m, picture)
         start, later_s = self.around.start()
         imu, motion = observation[IMU_KEY], self.around.ego.motion
         vector: F64 = np.concatenate(
@@ -244,17 +237,16 @@ class FeatureExtractor:
             # A fault of a sensor must not carry the network beyond what it has learned from.
             vector=np.clip(vector, -2.0, 2.0).astype(np.float32),
             start=start.astype(np.float32),
-            frames=self._seen(observation),
         )
 
     def _see(self, observation: Observation) -> None:
-        """Write what the camera shows into the raster."""
-        around = self.around
+        """Write what the cameras show into the raster."""
         self._tick += 1
-        _write(
-            around.depth_m, around.classes(observation), around.rays, around.eye_B_m, around.far_m, around.ego.pose_O,
-            self._tick, self._kinds, self._movers, self._cells, self._heights_m,
-        )  # fmt: skip
+        for view in self.around.views:
+            _write(
+                view.depth_m, view.classes(observation), view.rays, view.eye_B_m, view.far_m, self.around.ego.pose_O,
+                self._tick, self._kinds, self._movers, self._cells, self._heights_m,
+            )  # fmt: skip
 
     def command(self, action: int) -> None:
         """Say which action is sent now."""
@@ -262,26 +254,18 @@ class FeatureExtractor:
         self._sent = np.roll(self._sent, 1, axis=0)
         self._sent[0] = self._actions.points[action]
 
-    def _seen(self, observation: Observation) -> U8:
-        """The window of pictures with this one in it."""
-        if self._pictures:
-            now = np.stack([observation[key][-1] for key in (CLASS_KEY, DEPTH_KEY)]).reshape(1, *self._shape)
-            # The first picture fills the window, as in `dataset._frame_windows`: learning and driving see the same.
-            before = self._frames if len(self._frames) else np.repeat(now, self._pictures - 1, axis=0)
-            self._frames = np.concatenate([before, now])[-self._pictures :]
-        return self._frames
-
     def _require(self, observation: Observation) -> None:
-        lacks = [key for key in _KEYS if key not in observation]
+        wanted = (*self._shapes, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY)
+        lacks = [key for key in wanted if key not in observation]
         if lacks or len(observation[IMU_KEY]) < TURNS.stop:
             what = f"no {', '.join(lacks)}" if lacks else f"{len(observation[IMU_KEY])} numbers of the IMU"
             raise PolicyError(
                 f"a danger network got {what}; expected pictures with classes, tilt, turn rates, odometry, joystick: "
-                "set sensors.odometry=typical, env.observe_gyro=true and env.classes as in its training"
+                "set sensors.odometry=typical, env.observe_gyro=true, env.camera and env.classes as in its training"
             )
-        shapes = {key: tuple(observation[key].shape[-2:]) for key in (DEPTH_KEY, CLASS_KEY)}
-        if set(shapes.values()) != {self._shape[1:]}:
+        shapes = {key: tuple(observation[key].shape[-2:]) for key in self._shapes}
+        if shapes != self._shapes:
             raise PolicyError(
-                f"a danger network got pictures of {shapes}; expected {self._shape[1:]} (rows, columns): test it with "
-                "the camera of its training"
+                f"a danger network got pictures of {shapes}; expected {self._shapes} (rows, columns): test it with "
+                "the cameras of its training"
             )

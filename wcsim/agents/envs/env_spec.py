@@ -93,13 +93,15 @@ class StreetEnvSettings:
         env = self.config.env
         if env.observation == "state":
             return make_state_observation_space()
-        camera = self.config.eye
+        others = self.config.eyes
+        camera = others.pop("")
         single = make_observation_space(
             env.observation,
             camera.width_px,
             camera.height_px,
             count_imu_values(env.observe_gyro, env.observe_yaw),
             self.config.sensors.measures(),
+            others,
         )
         return window_observation_space(single, env.frames)
 

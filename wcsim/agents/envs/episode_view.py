@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
 from typing import Any, Final, NamedTuple, get_args
@@ -45,7 +45,7 @@ WORLD_RESTARTED: Final = "world_restarted"  # key of `info`
 OBJECTS: Final = "objects"  # key of `info`
 _NUMBERS: Final = (bool, int, float, np.ndarray)
 _NO_REWARD: Final = RewardTerms(base=0.0, joystick=0.0, accel=0.0, tilt=0.0, crash=0.0)
-_IMAGE_KEYS: Final = (CLASS_KEY, DEPTH_KEY, RGB_KEY, policy_api.COLOURS_KEY)
+_IMAGES: Final = (CLASS_KEY, DEPTH_KEY, RGB_KEY, policy_api.COLOURS_KEY)
 
 # Of an environment: pictures and numbers by name, or the rows of `state`.
 EnvObservation = Observation | F32
@@ -354,6 +354,11 @@ def find_episode_delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
     return drawn.action_delay_ticks
 
 
+def _image_keys(keys: Iterable[str]) -> list[str]:
+    """Those of images: each has the name of its camera before it, but for the first camera."""
+    return [key for key in keys if key.rpartition("_")[2] in _IMAGES]
+
+
 class FrameStacker:
     """Puts the last `frames` images of an episode into its observations, the newest last.
 
@@ -381,9 +386,7 @@ class FrameStacker:
         missing = max(self._frames - len(self._observations), 1)
         self._observations.extend([observation] * missing)
         images: dict[str, npt.NDArray[Any]] = {
-            key: join([old[key] for old in self._observations])
-            for key in _IMAGE_KEYS
-            if key in observation
+            key: join([old[key] for old in self._observations]) for key in _image_keys(observation)
         }
         return {**observation, **images}
 
@@ -393,7 +396,7 @@ def window_observation_space(space: gymnasium.spaces.Dict, frames: int) -> gymna
     if frames == 1:
         return space
     parts = dict(space.spaces)
-    for key in parts.keys() & set(_IMAGE_KEYS):
+    for key in _image_keys(parts):
         planes, *size = space[key].shape or ()
         if policy_api.COLOURS_KEY in parts:
             parts[key] = gymnasium.spaces.Box(0.0, 1.0, (frames, planes, *size), np.float32)
@@ -418,8 +421,7 @@ def trim_frame_window(observation: policy_api.Observation, frames: int) -> polic
     # An image may have several planes: colours have three.
     images = {
         key: observation[key][-frames * (len(observation[key]) // held) :]
-        for key in _IMAGE_KEYS
-        if key in observation
+        for key in _image_keys(observation)
     }
     if frames == 1:  # a picture of Table 3 has no dimension in front
         images = {key: value.reshape(-1, *value.shape[-2:]) for key, value in images.items()}

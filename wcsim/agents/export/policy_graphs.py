@@ -20,7 +20,7 @@ from wcsim.agents.danger.policy import GIVES_BACK, LESS_M, RECENT_TICKS
 from wcsim.agents.networks.encoder import image_size_from_space
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.perception.alarm import CALM, NEWEST, TWO_TICKS
-from wcsim.agents.perception.depth_image import viewing_rays
+from wcsim.agents.perception.depth_image import FAR_SHARE, sampling_stride_px, viewing_rays
 from wcsim.agents.perception.ego_motion import (
     GYRO_Z,
     MOVES_MPS,
@@ -28,7 +28,7 @@ from wcsim.agents.perception.ego_motion import (
     TRUST,
     TURN_FULL_SCALE,
 )
-from wcsim.agents.perception.surroundings import FAR_SHARE, outline_to_box, sampling_stride_px
+from wcsim.agents.perception.surroundings import outline_to_box
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, JOYSTICK_KEY
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRuleSettings
@@ -187,7 +187,7 @@ class DangerPolicyGraph(nn.Module):
     It repeats `DangerPolicy` and all that this calls; only the network is the same object.
 
     Args:
-        net: A network that looks at the street map.
+        net: With its weights.
         config: Of the run.
         rule: From dangers to an action.
     """
@@ -202,10 +202,10 @@ class DangerPolicyGraph(nn.Module):
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRuleSettings) -> None:
         """Raises PolicyError for a network that cannot be exported."""
         super().__init__()
-        if net.spec.pictures:
+        if net.spec.more_cameras:
             raise PolicyError(
-                f"a network with danger.eye={net.spec.net.eye} cannot be exported; "
-                "train with danger.eye=map, its default"
+                f"a danger network of {1 + len(net.spec.more_cameras)} cameras cannot be exported; "
+                "expected one: train with one name in env.camera"
             )
         camera, chair = config.cameras[0], config.chair
         points = action_set(config.env.actions).points
@@ -215,7 +215,7 @@ class DangerPolicyGraph(nn.Module):
         self.drive = TorchDriveModel(
             drive_limits_from_chair(chair), chair.deadband, chair.shape_exponent
         )
-        # As `StreetPerception` sees: every so many pixels, depths short of the camera's range.
+        # As `CameraView` sees: every so many pixels, depths short of the camera's range.
         self.far_m, self.stride = FAR_SHARE * camera.range_m, sampling_stride_px(camera)
         rays = viewing_rays(camera).reshape(camera.height_px, camera.width_px, 3)
         self.rays = _constant(rays[:: self.stride, :: self.stride].reshape(-1, 3))
@@ -374,7 +374,7 @@ class DangerPolicyGraph(nn.Module):
         return torch.where(seen, torch.stack([key, now, mover, kinds, high, -low]), old)[None]
 
     def _sampled(self, image: Tensor) -> Tensor:
-        """Repeats `StreetPerception._sampled`: (n,) int64, one for each of `rays`."""
+        """Repeats `CameraView._sampled`: (n,) int64, one for each of `rays`."""
         return image[..., :: self.stride, :: self.stride].reshape(-1).to(torch.int64)
 
     def _read_cells(self, motion: Tensor, cells: Tensor) -> Tensor:

@@ -61,6 +61,16 @@ class ObservationEncoder(BaseFeaturesExtractor):
     ) -> None:
         if stateful:
             _require_stateful(observation_space, network)
+        pictures = [
+            key
+            for key, box in _require_own(observation_space).spaces.items()
+            if len(box.shape or ()) > 1 and key not in {*_CLASS_KEYS, DEPTH_KEY, RGB_KEY}
+        ]
+        if pictures:
+            raise PolicyError(
+                f"network {network!r} sees one camera, the observation has {', '.join(pictures)}; "
+                "expected one: set env.camera to its name"
+            )
         height, width = image_size_from_space(observation_space)
         numbers = vector_size_from_space(observation_space)
         table = _group_table(classes)

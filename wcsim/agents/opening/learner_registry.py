@@ -274,9 +274,16 @@ class _DangerRounds(Learner):
     def policy_settings(self, folder: Path) -> dict[str, Any]:
         """See `Learner`."""
         file = read_danger_policy_file(folder)
+        cameras = (file.camera, *file.more_cameras)
+        names = [camera.name for camera in cameras]
         return {
-            "cameras": [file.camera.model_dump(mode="json")],
-            "env": {"actions": file.net.actions, "classes": file.classes, "window": 1},
+            "cameras": [camera.model_dump(mode="json") for camera in cameras],
+            "env": {
+                "actions": file.net.actions,
+                "classes": file.classes,
+                "window": 1,
+                "camera": names if file.more_cameras else "",
+            },
             "chair": file.chair.model_dump(mode="json"),
         }
 
@@ -291,16 +298,14 @@ class _DangerRounds(Learner):
         """See `Learner`; the level is a threshold of danger."""
         from wcsim.agents.danger.policy import load_danger
 
-        return load_danger(folder, name, config, level, network)
+        return load_danger(folder, name, config, level)
 
     def require_exportable(self, folder: Path, name: str) -> None:
         """See `Learner`."""
-        eye = read_danger_policy_file(folder).net.eye
-        if eye != "map":
+        if read_danger_policy_file(folder).more_cameras:
             raise PolicyError(
-                f"{name} uses camera pictures (danger.eye={eye}), which cannot be exported; "
-                "expected a danger network "
-                "with danger.eye=map: docs/export.md, What cannot be exported"
+                f"{name} sees several cameras, which cannot be exported; expected a danger network "
+                "of one: docs/export.md, What cannot be exported"
             )
 
     def open_graph(

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import label
 
+from wcsim.agents.perception.depth_image import CameraView
 from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F32, F64, I64, U8, Bool, ClassId
 
@@ -17,10 +18,11 @@ X, Y, LEAST_X, MOST_X, LEAST_Y, MOST_Y, PIXELS, WALKERS, FIRST, LAST, DEPTH = ra
 _WALK: Final = (ClassId.PERSON, ClassId.RIDER, ClassId.BICYCLE, ClassId.MOTORCYCLE)
 _DRIVE: Final = (ClassId.CAR, ClassId.TRUCK, ClassId.BUS, ClassId.TRAIN)
 _CELL_M: Final = 0.2
-# How far movers are searched for.
-_AHEAD_M: Final = 12.0
+# How far movers are searched for, ahead as behind, and to each side.
+_ALONG_M: Final = 12.0
 _ASIDE_M: Final = 8.0
-_ROWS: Final = round(_AHEAD_M / _CELL_M)
+_AXLE_ROW: Final = round(_ALONG_M / _CELL_M)
+_ROWS: Final = 2 * _AXLE_ROW
 _COLUMNS: Final = 2 * round(_ASIDE_M / _CELL_M)
 # Above the ground: only what a mover shows between them counts.
 _LOW_M: Final = 0.15
@@ -39,17 +41,12 @@ def make_class_mobility_table() -> U8:
     return table
 
 
-def find_movable_clusters(
-    kind: U8, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, pose_O: F64
-) -> tuple[F64, F64, I64]:
+def find_movable_clusters(kind: U8, view: CameraView, up: F64, pose_O: F64) -> tuple[F64, F64, I64]:
     """Group pixels that could move.
 
     Args:
         kind: (H, W) STANDS, WALKS or DRIVES.
-        depth_m: (H * W,) along the optical axis.
-        rays: (H * W, 3) directions in B per metre of depth.
-        eye: (3,) where the camera is, in B.
-        far_m: Depths from here on are no measurement.
+        view: Of the same pixels.
         up: (3,) the direction up in B.
         pose_O: (3,) of the chair.
 
@@ -60,7 +57,8 @@ def find_movable_clusters(
     # 1. Which cells have such pixels.
     cells = np.full((_ROWS, _COLUMNS), -1, np.int64)
     points = np.empty((_MOST_CELLS, 2))
-    count = _number_cells(kind.reshape(-1), depth_m, rays, eye, far_m, up, cells, points)
+    seen = view.depth_m, view.rays, view.eye_B_m, view.far_m, up, cells
+    count = _number_cells(kind.reshape(-1), *seen, points)
     # 2. Touching cells have one owner. Owners are numbered in the order of their first cells, and
     # those beyond _MOST are left out.
     taken = cells >= 0
@@ -71,19 +69,7 @@ def find_movable_clusters(
     owner[owner >= _MOST] = -1
     # 3. Measure each cluster, and drop noise and fringes.
     clusters = np.zeros((_MOST, 11))
-    found = _measure(
-        kind.reshape(-1),
-        kind.shape[1],
-        depth_m,
-        rays,
-        eye,
-        far_m,
-        up,
-        cells,
-        pose_O,
-        owner,
-        clusters,
-    )
+    found = _measure(kind.reshape(-1), kind.shape[1], *seen, pose_O, owner, clusters)
     return clusters[:found], points[:count], owner
 
 
@@ -109,7 +95,8 @@ def _cell(depth: float, ray: F32, eye: F64, far_m: float, up: F64) -> tuple[int,
         return -1, -1, 0.0, 0.0
     x, y, z = eye[0] + depth * ray[0], eye[1] + depth * ray[1], eye[2] + depth * ray[2]
     height = max(z, up[0] * x + up[1] * y + up[2] * z)
-    row, column = math.floor(x / _CELL_M), math.floor((y + _ASIDE_M) / _CELL_M)
+    row = math.floor(x / _CELL_M) + _AXLE_ROW
+    column = math.floor((y + _ASIDE_M) / _CELL_M)
     if not (_LOW_M < height < _HIGH_M and 0 <= row < _ROWS and 0 <= column < _COLUMNS):
         return -1, -1, 0.0, 0.0
     return row, column, x, y
@@ -127,7 +114,7 @@ def _number_cells(
         row, column, _, _ = _cell(depth_m[n], rays[n], eye, far_m, up)
         if row >= 0 and cells[row, column] < 0:
             cells[row, column] = count
-            points[count, 0] = (row + 0.5) * _CELL_M
+            points[count, 0] = (row - _AXLE_ROW + 0.5) * _CELL_M
             points[count, 1] = (column + 0.5) * _CELL_M - _ASIDE_M
             count += 1
     return count

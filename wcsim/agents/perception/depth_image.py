@@ -1,13 +1,21 @@
-"""A camera's depth image in metres, and the directions of its pixels."""
+"""What a camera shows: its depth image in metres, the classes, and where the pixels look."""
 
 import math
+from typing import Final, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, Observation
 from wcsim.config import CameraConfig
 from wcsim.core.frames import deg2rad
 from wcsim.supervisor.observation import decode_depth
 from wcsim.types import F32, F64, U8
+
+# Of a camera's range; depths from here on are no measurement.
+FAR_SHARE: Final = 0.99
+
+Number = TypeVar("Number", np.float32, np.uint8)
 
 
 def depth_image_to_metres(image: U8 | F32, range_m: float) -> F32:
@@ -36,6 +44,50 @@ def viewing_rays(camera: CameraConfig) -> F64:
     x = ahead * math.cos(yaw) + right * math.sin(yaw)
     y = ahead * math.sin(yaw) - right * math.cos(yaw)
     return np.stack([x, y, up], axis=-1).reshape(-1, 3)
+
+
+def sampling_stride_px(camera: CameraConfig) -> int:
+    """The step from one sampled pixel to the next, in rows and columns: more in a larger picture.
+
+    >>> cameras = [CameraConfig(width_px=width, height_px=60) for width in (80, 160, 320, 640)]
+    >>> [sampling_stride_px(camera) for camera in cameras]
+    [1, 1, 2, 4]
+    """
+    return max(1, round(camera.width_px / 160))
+
+
+class CameraView:
+    """One camera's newest picture: every so many pixels of it, and where they look.
+
+    Args:
+        camera: Where it is mounted, as configured.
+        prefix: What stands before the keys of its images, see `RunConfig.eyes`.
+    """
+
+    def __init__(self, camera: CameraConfig, prefix: str = "") -> None:
+        self._prefix, self._range_m = prefix, camera.range_m
+        self._stride = sampling_stride_px(camera)
+        self._size = (camera.height_px, camera.width_px)
+        rays = viewing_rays(camera).reshape(*self._size, 3)[:: self._stride, :: self._stride]
+        self.shape = rays.shape[:2]  # of the sampled pixels
+        self.rays = np.ascontiguousarray(rays.reshape(-1, 3), np.float32)
+        self.eye_B_m = np.array(camera.p_BC_m, np.float64)
+        self.near_m, self.far_m = 1.02 * camera.near_m, FAR_SHARE * camera.range_m
+        self.depth_m = np.zeros(len(self.rays), np.float32)  # (n,) along the optical axis
+
+    def observe(self, observation: Observation) -> None:
+        """Take the depths of a new tick."""
+        image = observation[self._prefix + DEPTH_KEY]
+        self.depth_m = self._sampled(depth_image_to_metres(image, self._range_m))
+
+    def classes(self, observation: Observation) -> U8:
+        """The classes (n,) of the sampled pixels, of an observation with class ids."""
+        return self._sampled(observation[self._prefix + CLASS_KEY][-1])
+
+    def _sampled(self, image: npt.NDArray[Number]) -> npt.NDArray[Number]:
+        """Every so many pixels of an image, (n,)."""
+        pixels = image.reshape(self._size)[:: self._stride, :: self._stride]
+        return np.ascontiguousarray(pixels).reshape(-1)
 
 
 def is_camera_mirror_symmetric(camera: CameraConfig) -> bool:

@@ -1,8 +1,8 @@
 """What a chair sees in its way and remembers: walls, people, kerbs, drops, and ground.
 
-In one depth image the ground ahead is a raster of the lowest and the highest point seen in each
-cell, in the body frame. What counts is how the ground steps from a cell to the next, so a hill is
-no obstacle, and neither height nor slope must be known well.
+In the depth images of a tick the ground is a raster of the lowest and the highest point seen in
+each cell, in the body frame. What counts is how the ground steps from a cell to the next, so a hill
+is no obstacle, and neither height nor slope must be known well.
 
 The memory is a raster of the odometric frame O that wraps around: a new place takes a cell over
 once its old one is too far away. An obstacle is removed when ground is seen there instead, when the
@@ -11,18 +11,21 @@ seen once, and people who can walk off, stay for seconds.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
+from wcsim.agents.perception.depth_image import CameraView
 from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F32, F64, I64, Bool
 
 CELL_M: Final = 0.1
 # Farther away rows of the image are farther apart than cells.
 REACH_M: Final = 4.0
-ROWS: Final = round(REACH_M / CELL_M)  # ahead from the axle
+AXLE_ROW: Final = round(REACH_M / CELL_M)  # the first one ahead of the axle
+ROWS: Final = 2 * AXLE_ROW  # ahead from -REACH_M
 COLUMNS: Final = 2 * round(REACH_M / CELL_M)  # to the left from -REACH_M
 # More than casters climb, and less than a kerb; the rounding of depth codes alone is 0.03.
 STEP_M: Final = 0.06
@@ -52,45 +55,40 @@ _AROUND, _SEEN = 1, 2
 
 @dataclass(frozen=True, slots=True)
 class StepObstacleDetector:
-    """Buffers for one camera; `obstacles` writes into them."""
+    """Buffers for the cameras of one chair; `obstacles` writes into them."""
 
     low_m: F32 = field(default_factory=lambda: np.empty((ROWS, COLUMNS), np.float32))
     high_m: F32 = field(default_factory=lambda: np.empty((ROWS, COLUMNS), np.float32))
     points_B_m: F64 = field(default_factory=lambda: np.empty((_MOST_POINTS, 2)))
 
-    def obstacles(
-        self,
-        depth_m: F32,
-        rays: F32,
-        eye_B_m: F64,
-        span_m: tuple[float, float],
-        up_B: F64,
-        box_B_m: F64,
-    ) -> F64:
+    def obstacles(self, views: Iterable[CameraView], up_B: F64, box_B_m: F64) -> F64:
         """Find what is in the way.
 
         Args:
-            depth_m: (H * W,) along the optical axis.
-            rays: (H * W, 3) directions in B per metre of depth, see `viewing_rays`.
-            eye_B_m: (3,) where the camera is.
-            span_m: Depths outside it (nearest, farthest) are no measurement.
+            views: What the cameras show now.
             up_B: (3,) the direction up in B, from the tilt sensor.
             box_B_m: (3,) rear, front and half the width of the chair in B.
 
         Returns:
             (n, 2) its middles in B; a view of a buffer, valid until the next call.
         """
-        drops = _fill_raster(
-            depth_m,
-            rays,
-            eye_B_m,
-            span_m[0],
-            span_m[1],
-            up_B,
-            self.low_m,
-            self.high_m,
-            self.points_B_m,
-        )
+        self.low_m[:] = np.inf
+        self.high_m[:] = -np.inf
+        dropped, drops = np.zeros(self.low_m.shape, np.bool_), 0
+        for view in views:
+            drops = _fill_raster(
+                view.depth_m,
+                view.rays,
+                view.eye_B_m,
+                view.near_m,
+                view.far_m,
+                up_B,
+                self.low_m,
+                self.high_m,
+                dropped,
+                self.points_B_m,
+                drops,
+            )
         count = _add_steps(self.low_m, self.high_m, box_B_m, self.points_B_m, drops)
         return self.points_B_m[:count]
 
@@ -105,13 +103,15 @@ def _fill_raster(
     up: F64,
     low: F32,
     high: F32,
+    dropped: Bool,
     points: F64,
+    count: int,
 ) -> int:
-    """Write the raster, and a point for each ray that falls below the ground; returns how many."""
-    low[:] = np.inf
-    high[:] = -np.inf
-    dropped = np.zeros(low.shape, np.bool_)
-    count = 0
+    """Write a picture into the raster, and a point for each cell where rays fall below the ground.
+
+    Returns:
+        How many points there are; `count` were there before.
+    """
     # From the nearest ground on, which is at the bottom of the image.
     for i in range(len(depth_m) - 1, -1, -1):
         depth = depth_m[i]
@@ -126,7 +126,8 @@ def _fill_raster(
             # A drop starts where the ray should have met the ground.
             fall = eye[2] / max(eye[2] - z, 1e-6)
             x, y = eye[0] + fall * (x - eye[0]), eye[1] + fall * (y - eye[1])
-            row, column = math.floor(x / CELL_M), math.floor((y + REACH_M) / CELL_M)
+            row = math.floor(x / CELL_M) + AXLE_ROW
+            column = math.floor((y + REACH_M) / CELL_M)
             if (
                 0 <= row < ROWS
                 and 0 <= column < COLUMNS
@@ -137,7 +138,8 @@ def _fill_raster(
                 points[count, 0], points[count, 1] = x, y
                 count += 1
             continue
-        row, column = math.floor(x / CELL_M), math.floor((y + REACH_M) / CELL_M)
+        row = math.floor(x / CELL_M) + AXLE_ROW
+        column = math.floor((y + REACH_M) / CELL_M)
         if (
             depth < farthest_m
             and 0 <= row < ROWS
@@ -154,14 +156,16 @@ def _add_steps(seen: F32, high: F32, box: F64, points: F64, count: int) -> int:
     """Write cells that hold a step, and steps between cells; returns the number of points."""
     # Between the unseen ground below the chair and the first ground that it sees may lie a step.
     low, half = seen.copy(), round(box[2] / CELL_M)
-    under = low[: round((box[1] + AROUND_M) / CELL_M), COLUMNS // 2 - half : COLUMNS // 2 + half]
+    rear = AXLE_ROW + round((box[0] - AROUND_M) / CELL_M)
+    front = AXLE_ROW + round((box[1] + AROUND_M) / CELL_M)
+    under = low[rear:front, COLUMNS // 2 - half : COLUMNS // 2 + half]
     under[:] = np.where(under < np.inf, under, 0.0)
     for row in range(ROWS):
         for column in range(COLUMNS):
             if not low[row, column] < np.inf or count >= len(points):
                 continue
             if high[row, column] - low[row, column] > STEP_M:
-                points[count, 0] = (row + 0.5) * CELL_M
+                points[count, 0] = (row - AXLE_ROW + 0.5) * CELL_M
                 points[count, 1] = (column + 0.5) * CELL_M - REACH_M
                 count += 1
                 continue
@@ -189,7 +193,7 @@ def _add_step(
             points
         ):
             from_here = gap - 0.5 if rise > 0.0 else 0.5
-            points[count, 0] = (row + 0.5 + from_here * down) * CELL_M
+            points[count, 0] = (row - AXLE_ROW + 0.5 + from_here * down) * CELL_M
             points[count, 1] = (column + 0.5 + from_here * right) * CELL_M - REACH_M
             count += 1
         return count
@@ -303,14 +307,14 @@ def _write_ground(cells: I64, places: F64, low: F32, pose: F64, tick: int) -> No
         for j in range(_SIDE):
             if cells[i, j, _EVIDENCE] > 0 and cells[i, j, _TICK] != tick:
                 dx, dy = places[i, j, _X] - pose[0], places[i, j, _Y] - pose[1]
-                row = math.floor((cos * dx + sin * dy) / CELL_M)
+                row = math.floor((cos * dx + sin * dy) / CELL_M) + AXLE_ROW
                 column = math.floor((cos * dy - sin * dx + REACH_M) / CELL_M)
                 if 0 <= row < ROWS and 0 <= column < COLUMNS and low[row, column] < np.inf:
                     cells[i, j, _EVIDENCE] -= _would_show(low, row, column)
     for row in range(ROWS):
         for column in range(COLUMNS):
             if low[row, column] < np.inf:
-                bx, by = (row + 0.5) * CELL_M, (column + 0.5) * CELL_M - REACH_M
+                bx, by = (row - AXLE_ROW + 0.5) * CELL_M, (column + 0.5) * CELL_M - REACH_M
                 x, y = pose[0] + cos * bx - sin * by, pose[1] + sin * bx + cos * by
                 i, j = _claim_cell(cells, x, y)
                 cells[i, j, _GROUND] = _SEEN
@@ -319,11 +323,11 @@ def _write_ground(cells: I64, places: F64, low: F32, pose: F64, tick: int) -> No
 @compile_exact_kernel
 def _would_show(low: F32, row: int, column: int) -> bool:
     """Whether a step at a cell would show: ground before it, towards the chair, was measured."""
-    aside = column - COLUMNS // 2
-    away = max(row, abs(aside), 1)
+    along, aside = row - AXLE_ROW, column - COLUMNS // 2
+    away = max(abs(along), abs(aside), 1)
     for nearer in range(2, GAP_CELLS + 2):
         share = max(0.0, 1.0 - nearer / away)
-        if low[round(share * row), COLUMNS // 2 + round(share * aside)] < np.inf:
+        if low[AXLE_ROW + round(share * along), COLUMNS // 2 + round(share * aside)] < np.inf:
             return True
     return False
 

@@ -5,10 +5,9 @@ camera does not look.
 """
 
 import math
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.agents.perception.arcs import predict_delayed_state
 from wcsim.agents.perception.clusters import (
@@ -16,7 +15,7 @@ from wcsim.agents.perception.clusters import (
     make_class_mobility_table,
     mask_points_near_cells,
 )
-from wcsim.agents.perception.depth_image import depth_image_to_metres, viewing_rays
+from wcsim.agents.perception.depth_image import CameraView
 from wcsim.agents.perception.ego_motion import (
     EgoMotionEstimator,
     body_to_odometric,
@@ -30,15 +29,13 @@ from wcsim.agents.perception.street_memory import (
     is_free_ground,
 )
 from wcsim.agents.perception.tracker import MoverTracker, TrackedMover
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, Observation
-from wcsim.config import CameraConfig, RunConfig
+from wcsim.agents.policy_api import CLASS_KEY, IMU_KEY, JOYSTICK_KEY, Observation
+from wcsim.config import RunConfig
 from wcsim.core.jit import compile_exact_kernel
 from wcsim.core.joystick import drive_limits_from_chair, shape_joysticks
 from wcsim.supervisor.actions import ActionSet
-from wcsim.types import F32, F64, I64, U8, Outline
+from wcsim.types import F32, F64, I64, Outline
 
-# Of a camera's range; depths from here on are no measurement.
-FAR_SHARE: Final = 0.99
 SHY_M: Final = 0.06  # added for movers: they are wider than what is seen, and may move otherwise
 _AHEAD_MPS: Final = 0.05  # slower is no driving ahead
 # Where edges are searched for: ahead, and to each side.
@@ -56,14 +53,12 @@ _MOST: Final = 48
 BACK_M: Final = -1.2
 _MOST_EXTENDED: Final = 96  # places of extended edges
 
-Number = TypeVar("Number", np.float32, np.uint8)
-
 
 class StreetPerception:
     """The street around one chair: in each tick `observe`, then any query, then `command`.
 
     Args:
-        config: Of the run: its first camera is seen, and its chair driven.
+        config: Of the run: its cameras of `env.camera` are seen, and its chair driven.
         actions: The joystick positions to choose from.
         outline: The box around the chair and its user.
         delay_ticks: From a command to the chair that obeys it; None for the configuration's.
@@ -76,19 +71,11 @@ class StreetPerception:
         outline: Outline,
         delay_ticks: int | None = None,
     ) -> None:
-        camera, self._chair, self._tick_s = config.cameras[0], config.chair, config.world.tick_s
+        self._chair, self._tick_s = config.chair, config.world.tick_s
         self.box_B_m = outline_to_box(outline)
         self.commands = shape_joysticks(actions.points, self._chair)
         self.limits = drive_limits_from_chair(self._chair)
-        self.far_m = FAR_SHARE * camera.range_m
-        self._range_m, self._near_m = camera.range_m, camera.near_m
-        self._stride = sampling_stride_px(camera)
-        self._size = (camera.height_px, camera.width_px)
-        rays = viewing_rays(camera).reshape(*self._size, 3)[:: self._stride, :: self._stride]
-        self._shape = rays.shape[:2]
-        self.rays = np.ascontiguousarray(rays.reshape(-1, 3), np.float32)  # of the sampled pixels
-        self.depth_m = np.zeros(len(self.rays), np.float32)
-        self.eye_B_m = np.array(camera.p_BC_m, np.float64)
+        self.views = [CameraView(camera, prefix) for prefix, camera in config.eyes.items()]
         delay = config.world.action_delay_ticks if delay_ticks is None else delay_ticks
         self.ego = EgoMotionEstimator(self.limits, self._tick_s, delay)
         self.memory = StreetMemoryGrid(self._tick_s, self.box_B_m)
@@ -109,8 +96,7 @@ class StreetPerception:
         self.observe_motion_and_depth(observation)
         up_B, pose_O = _up_in_body(observation[IMU_KEY]), self.ego.pose_O
         walkers_B_m = self._update_tracks(observation, up_B)
-        span_m = (1.02 * self._near_m, self.far_m)
-        now = self._map.obstacles(self.depth_m, self.rays, self.eye_B_m, span_m, up_B, self.box_B_m)
+        now = self._map.obstacles(self.views, up_B, self.box_B_m)
         near = now[np.hypot(now[:, 0], now[:, 1]) < REACH_M - CELL_M]
         self.memory.update(
             near,
@@ -121,15 +107,12 @@ class StreetPerception:
             ahead=bool(self.ego.motion[0] > _AHEAD_MPS),
         )
 
-    def observe_motion(self, observation: Observation) -> None:
-        """Take only the chair's own motion from the observation of a new tick."""
-        stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
-        self.ego.observe(observation, self.shaped(stick))
-
     def observe_motion_and_depth(self, observation: Observation) -> None:
         """Take only the chair's own motion and the depths of the sampled pixels."""
-        self.observe_motion(observation)
-        self.depth_m = self._sampled(depth_image_to_metres(observation[DEPTH_KEY], self._range_m))
+        stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
+        self.ego.observe(observation, self.shaped(stick))
+        for view in self.views:
+            view.observe(observation)
 
     def command(self, action: int) -> None:
         """Take the action that is sent now."""
@@ -145,10 +128,6 @@ class StreetPerception:
         waiting = self.ego.waiting
         state = predict_delayed_state(self.ego.motion, waiting, self.limits, self._tick_s)
         return state, len(waiting) * self._tick_s
-
-    def classes(self, observation: Observation) -> U8:
-        """The classes (n,) of the sampled pixels."""
-        return self._sampled(observation[CLASS_KEY][-1])
 
     def in_the_way(self, margin_m: float) -> F64:
         """Known obstacles (n, 5): place in B, velocity over the ground, distance to keep."""
@@ -187,34 +166,22 @@ class StreetPerception:
         """Follow the movers; cells (n, 2) in B of those in view, without vehicles that stand."""
         if CLASS_KEY not in observation or observation[CLASS_KEY].dtype != np.uint8:
             return np.zeros((0, 2))
-        mobility = self._mobility[self.classes(observation)].reshape(self._shape)
         pose_O = self.ego.pose_O
-        clusters, cells, owner = find_movable_clusters(
-            mobility, self.depth_m, self.rays, self.eye_B_m, self.far_m, up_B, pose_O
-        )
-        each = [cells[owner == number] for number in range(len(clusters))]
-        self.tracker.update(clusters, [body_to_odometric(own, pose_O) for own in each])
+        clusters, each = [], list[F64]()
+        for view in self.views:
+            mobility = self._mobility[view.classes(observation)].reshape(view.shape)
+            found, cells, owner = find_movable_clusters(mobility, view, up_B, pose_O)
+            clusters.append(found)
+            each += [
+                body_to_odometric(cells[owner == number], pose_O) for number in range(len(found))
+            ]
+        self.tracker.update(np.concatenate(clusters), each)
         seen = [
             odometric_to_body(mover.cells_O_m, pose_O)
             for mover in self._free_movers()
             if mover.unseen_s == 0.0
         ]
         return np.concatenate([np.zeros((0, 2)), *seen])
-
-    def _sampled(self, image: npt.NDArray[Number]) -> npt.NDArray[Number]:
-        """Every so many pixels of an image, (n,)."""
-        pixels = image.reshape(self._size)[:: self._stride, :: self._stride]
-        return np.ascontiguousarray(pixels).reshape(-1)
-
-
-def sampling_stride_px(camera: CameraConfig) -> int:
-    """The step from one sampled pixel to the next, in rows and columns: more in a larger picture.
-
-    >>> cameras = [CameraConfig(width_px=width, height_px=60) for width in (80, 160, 320, 640)]
-    >>> [sampling_stride_px(camera) for camera in cameras]
-    [1, 1, 2, 4]
-    """
-    return max(1, round(camera.width_px / 160))
 
 
 def outline_to_box(outline: Outline) -> F64:

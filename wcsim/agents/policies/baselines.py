@@ -271,7 +271,7 @@ def make_baseline_policy(name: str, config: RunConfig, seed: int = 0) -> Policy:
     if name == "stop":
         outline = plant_spec(config.chair).outline
         return _StopBeforeObstacles(
-            actions=actions, watch=_CorridorWatch(config.cameras[0], config.chair, outline)
+            actions=actions, watch=_CorridorWatch(config.eye, config.chair, outline)
         )
     if name.partition("@")[0] == LEVELLED:
         return DynamicWindowPolicy(

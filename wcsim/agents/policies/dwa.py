@@ -4,8 +4,8 @@ Every joystick position of the action set is an arc within the reach of the driv
 could not be held for 0.3 s and then braked before it meets something known (a wall, a person, a
 kerb, a drop). Of the others the one nearest to the user's stick wins, pushed away from what it
 would pass closely. Arcs begin where the commands that are on their way will have brought the chair.
-Backwards the chair does not look: it backs up over ground that it has seen or stood on, and hardly
-farther.
+It backs up over ground that it has seen or stood on, and hardly farther: without a rear camera it
+does not look backwards.
 
 The wrapper forbids what it could not brake in time. Networks and `dwa` miss different crashes, so
 together they crash less, and intervene more often.
@@ -172,7 +172,7 @@ class DynamicWindowPolicy(HearsSent):
 
     Args:
         name: In tables.
-        config: Of the run, with the camera that is used, its first, and the chair.
+        config: Of the run, with the cameras of `env.camera`, and the chair.
         actions: The joystick positions to choose from.
         outline: The box around the chair and its user.
         level: Of assistance, see `_caution`.
@@ -277,7 +277,7 @@ class VetoPolicy(HearsSent):
     Args:
         name: In tables.
         inner: The policy that is watched.
-        config: Of the run, with the camera that is used, its first, and the chair.
+        config: Of the run, with the cameras of `env.camera`, and the chair.
     """
 
     def __init__(self, name: str, inner: Policy, config: RunConfig) -> None:

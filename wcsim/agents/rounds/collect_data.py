@@ -65,7 +65,7 @@ class SegmentCrew:
     def __init__(self, config: RunConfig, data: Path, machines: WorkerPoolSettings, logs: Path) -> None:
         """Find the workers. Raises ConfigError when there are none, or they could not be sent what they need."""
         if machines.cluster:
-            require_sendable_run(config, own_code=(config.learn.network,))
+            require_sendable_run(config)
         self._folder = data
         self._scheduler = WorkScheduler(machines.open(logs), self._keep, least_late_s=LEAST_LATE_S)
         self._sha256: dict[str, str] = {}  # of what has come, by name
@@ -161,7 +161,7 @@ def _drive_order(order: SegmentOrder, at: ToLocalPath) -> bytes:
 
 def _learned_of(folder: Path, config: RunConfig) -> MakeLearned:
     """The network of a policy folder as a driver of data; one for each chair, by the delay of its commands."""
-    net, rule = load_net(folder, config.learn.network)
+    net, rule = load_net(folder)
     exploring = rule.model_copy(update={"at_once": 0.0})  # it answers at every tick: it has to meet what it gets wrong
 
     def make(delay_ticks: int) -> DangerPolicy:

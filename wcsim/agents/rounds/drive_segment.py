@@ -113,8 +113,10 @@ def require_recordable(config: RunConfig) -> None:
     if config.env.observation != "compact":
         told = f"env.observation={config.env.observation}: training data consists of class ids and depth"
         raise ConfigError(f"{told}; expected compact")
-    if config.eye != config.cameras[0]:
-        raise ConfigError(f"env.camera={config.env.camera}: training data is of the first camera; expected no other")
+    seen = tuple(config.eyes.values())
+    if seen != config.cameras[: len(seen)] or len({camera.width_px for camera in seen}) > 1:
+        told = f"env.camera={config.env.camera}: training data has the images of cameras one below the other"
+        raise ConfigError(f"{told}; expected the first ones, in their order, of one width_px")
     _require_drivable(config)
     for variant in config.collect.variants:
         try:
@@ -389,8 +391,8 @@ class _Seat:
         own = judge_crash_fault(client.events.crash_reason, client.contacts, self._config.reward) == "own"
         self.rows.append(
             {
-                "depth": seen[DEPTH_KEY][-1],
-                "seg": seen[CLASS_KEY][-1],
+                "depth": np.concatenate([seen[prefix + DEPTH_KEY][-1] for prefix in self._config.eyes]),
+                "seg": np.concatenate([seen[prefix + CLASS_KEY][-1] for prefix in self._config.eyes]),
                 "imu": seen[IMU_KEY],
                 "odometry": seen[ODOMETRY_KEY],
                 "stick": seen[JOYSTICK_KEY],

@@ -17,8 +17,9 @@ from typing import Any, Final
 import numpy as np
 import zstandard
 
-from wcsim.agents.runs.policy_file import SIGHT_KEYS
-from wcsim.config import ChairConfig, RunConfig, parse
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
+from wcsim.agents.runs.policy_file import CAMERA_KEYS, SIGHT_KEYS
+from wcsim.config import CameraConfig, ChairConfig, RunConfig, parse
 from wcsim.config.plant import read_own_plant_bytes
 from wcsim.config.run_file import DrivingDataFile
 from wcsim.core import files, reading
@@ -54,7 +55,7 @@ _SETTINGS: Final = (
 # Also of the world that was seen. They are not in the digest, so that older folders' stay the same.
 _ALSO: Final = (
     *(f"cameras.0.{key}" for key in SIGHT_KEYS if key != "hfov_deg"),
-    "world.tick_s",
+    *("env.camera", "world.tick_s"),
 )
 # What a message names where it differs.
 _COMPARED: Final = (
@@ -96,7 +97,8 @@ class DrivingSegmentKey:
 class DrivingSegment:
     """Steps of several chairs, sorted by chair and step: the observation, then the action."""
 
-    depth: U8  # (N, H, W) newest image, see `supervisor/observation.py`
+    # (N, H, W) newest image, see `supervisor/observation.py`; several cameras one below the other
+    depth: U8
     seg: U8  # (N, H, W)
     imu: F32  # (N, I)
     odometry: F32  # (N, 2)
@@ -121,6 +123,18 @@ class DrivingSegment:
     def arrays(self) -> dict[str, np.ndarray]:
         """All columns by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def segment_images(
+    segment: DrivingSegment, row: int, eyes: Mapping[str, CameraConfig]
+) -> dict[str, U8]:
+    """The images (1, H, W) of a step by their keys in an observation; `eyes` of `RunConfig`."""
+    ends = np.cumsum([camera.height_px for camera in eyes.values()])[:-1]
+    return {
+        prefix + key: image[None]
+        for key, images in ((DEPTH_KEY, segment.depth), (CLASS_KEY, segment.seg))
+        for prefix, image in zip(eyes, np.split(images[row], ends), strict=True)
+    }
 
 
 def join_segments(segments: list[DrivingSegment]) -> DrivingSegment:
@@ -269,7 +283,9 @@ def require_same_data_settings(folder: Path, file: DrivingDataFile, config: RunC
     """
     recorded = _by_content(file.config, file.plant_sha256)
     own = config_to_plain_settings(config)
-    other = [name for name in _COMPARED if _part(recorded, name) != _part(own, name)]
+    further = range(1, len(config.eyes))
+    names = (*_COMPARED, *(f"cameras.{n}.{key}" for n in further for key in CAMERA_KEYS))
+    other = [name for name in names if _part(recorded, name) != _part(own, name)]
     if other or file.settings_sha256 != _settings_digest(config):
         raise PolicyError(
             f"{escape(folder)} was driven with other settings "

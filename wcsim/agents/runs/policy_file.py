@@ -4,6 +4,7 @@
 torch.
 """
 
+import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -194,8 +195,15 @@ def _with_threshold(name: str) -> tuple[str, float | None]:
 def require_danger_policy_fits(folder: Path, name: str, config: RunConfig) -> None:
     """Refuse a danger network of another camera, class form or action set. Raises PolicyError."""
     file = read_danger_policy_file(folder)
-    camera = config.cameras[0]
-    other = [key for key in CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
+    learned, seen = (file.camera, *file.more_cameras), tuple(config.eyes.values())
+    if len(learned) > len(seen):
+        raise PolicyError(
+            f"policy {name!r} was trained with {len(learned)} cameras, this test has {len(seen)}; "
+            f"expected env.camera={json.dumps([camera.name for camera in learned])}"
+        )
+    # It does not look at further ones.
+    pairs = zip(learned, seen, strict=False)
+    other = [key for a, b in pairs for key in CAMERA_KEYS if getattr(a, key) != getattr(b, key)]
     other += [key for key in ("actions",) if file.net.actions != config.env.actions]
     other += [key for key in ("classes",) if file.classes != config.env.classes]
     if other:

@@ -21,6 +21,7 @@ from wcsim.cli.shared.common import require_writable_folder
 from wcsim.config import RunConfig, resolve
 from wcsim.config.held_out import refuse_held_out
 from wcsim.config.load import is_override_of_key
+from wcsim.config.run_file import QPolicyFile
 from wcsim.core import reading, seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import import_class
@@ -59,7 +60,8 @@ def require_usable_policy(
         import_class(named.inner, "policy")
     elif named.is_network:
         path = policy_folder_from_name(name)
-        used = learner_from_policy(path).read_policy(path).net.network
+        file = learner_from_policy(path).read_policy(path)
+        used = file.net.network if isinstance(file, QPolicyFile) else ""
         if is_custom_network(used):
             require_trusted_network(escape(name), used, network)
         by_law = (

@@ -5,11 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from wcsim.agents.networks.names import require_known_network
 from wcsim.cli.shared.common import (
     Bounds,
     Cluster,
-    ExistingName,
     Jobs,
     OutFile,
     OutFolder,
@@ -41,8 +39,6 @@ class _Options(SettingsOptions):
     """Total segments, each a fresh world of collect.ticks ticks. Existing segments are kept."""
     policy: str = ""
     """Trained danger network that drives some of the episodes. By default, users and the oracle drive all."""  # noqa: E501 - help text
-    network: Annotated[str, ExistingName(require_known_network)] = ""
-    """Your own network as module:Class, if the --policy uses it."""
     worlds: Jobs = 1
     """Worker processes that drive at once. The data does not depend on their number."""
     cluster: Cluster = ""
@@ -58,10 +54,9 @@ class _Options(SettingsOptions):
 def run(words: list[str]) -> int:
     """Drive, and leave a data folder."""
     options = parse_options(_Options, words, "collect")
-    own = {"learn": {"network": options.network}} if options.network else None
-    config = resolve(options.preset, options.config, options.set, own)
+    config = resolve(options.preset, options.config, options.set)
     if options.policy:
-        require_usable_policy(options.policy, config.learn.network, bare_for="collecting")
+        require_usable_policy(options.policy, "", bare_for="collecting")
     refuse_held_out_users(config, (options.set, options.config))
     machines = replace(
         workers_from_options(options.cluster, options.worlds, "--worlds"), report=warn

@@ -4,7 +4,7 @@ People on foot on a pavement too narrow to step aside.
 
 What cars and buses do at the side of the street: a door that opens, a corner that is too narrow.
 
-Bicycles and e-scooters that come up from behind, where the chair's camera does not look.
+Bicycles and e-scooters that come up from behind, where a front camera does not look.
 
 Kerbs and walls: what the chair itself drives over or into, without other road users.
 """
