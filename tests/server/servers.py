@@ -100,7 +100,8 @@ class Server:
                         return status
                 if not data:
                     break
-        raise AssertionError(f"the server said nothing that fits; its end: {self.process.poll()}")
+        ended = self.process.poll()
+        raise AssertionError(f"nothing fits; its end: {ended}; {self.errors() if ended is not None else ''}")
 
     def wait(self) -> int:
         return self.process.wait(WAIT_S)
