@@ -142,16 +142,8 @@ def _lips_m(
         for number in tree.query(lines, predicate="dwithin", distance=NEAR_M).tolist():
             lips_m[number] = lip_m
     for mark in marks:
-        if not mark.crossing or mark.line.geom_type != "Point":
-            continue
-        for number in tree.query_nearest(mark.line, max_distance=_NODE_M, all_matches=False).tolist():
-            # The other end lies as far on the other side.
-            end = shapely.shortest_line(mouths[number], mark.line)
-            other = shapely.affinity.rotate(end, 180.0, origin=mark.line).interpolate(0.0)
-            reach_m = max(_AT_CROSSING_M, end.length)
-            opposite = tree.query_nearest(other, max_distance=reach_m, all_matches=False).tolist()
-            for each in (number, *opposite):
-                lips_m[each] = mark.height_m
+        for number in _both_ends(mark, mouths, tree) if mark.crossing else ():
+            lips_m[number] = mark.height_m
     near = [mark for mark in marks if not mark.side and not mark.crossing]
     if near and mouths:
         (which, found), far_m = shapely.STRtree([mark.line for mark in near]).query_nearest(
@@ -164,6 +156,16 @@ def _lips_m(
             if gap_m <= NEAR_M or ahead or near[k].height_m < top_m:
                 lips_m[i] = near[k].height_m
     return lips_m
+
+
+def _both_ends(mark: KerbMark, mouths: list[BaseGeometry], tree: shapely.STRtree) -> list[int]:
+    """The numbers of the mouths of a mapped crossing: the nearest one, and that as far away on the other side."""
+    for number in tree.query_nearest(mark.line, max_distance=_NODE_M, all_matches=False).tolist():
+        end = shapely.shortest_line(mouths[number], mark.line)
+        other = shapely.affinity.rotate(end, 180.0, origin=mark.line.centroid).interpolate(0.0)
+        reach_m = max(_AT_CROSSING_M, end.length)
+        return [number, *tree.query_nearest(other, max_distance=reach_m, all_matches=False).tolist()]
+    return []
 
 
 def _lines(geometry: BaseGeometry) -> list[BaseGeometry]:

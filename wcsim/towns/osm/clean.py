@@ -37,7 +37,7 @@ from wcsim.core.frames import deg2rad
 from wcsim.core.reading import join_names, read_module_toml
 from wcsim.towns.osm.read import Box
 from wcsim.towns.osm.tags import meanings
-from wcsim.towns.sumo.net import LaneKind, Net
+from wcsim.towns.sumo.net import Edge, LaneKind, Net
 from wcsim.towns.walking.islands import osm_ways_by_edge
 from wcsim.types import F64
 
@@ -170,15 +170,7 @@ def _mark_ways(root: Element, lefthand: bool) -> None:
         tags = _read_tags(way)
         if "highway" not in tags and "railway" not in tags:
             continue
-        words = {key: "" for key in tags if key.startswith("sidewalk")}
-        pavements = meanings("streets", tags)
-        words |= {f"pavement_{side}": told for side, told in pavements.items()}
-        if mapped := [side for side, told in pavements.items() if told == "paved"]:
-            # netconvert calls the side of those who drive along the way the right.
-            named = {"left": "right", "right": "left"}[mapped[0]] if lefthand else mapped[0]
-            words["sidewalk"] = "both" if len(mapped) == 2 else named
-        elif "bare" in pavements.values():
-            words["sidewalk"] = "no"  # else it takes foot=yes for pavements; a guess comes later
+        words = _pavements(tags, lefthand)
         for side in ("left", "right"):
             words[f"kerb_{side}"] = tags.get(f"kerb:{side}", tags.get("kerb:both", ""))
         if tags.get("highway") in _TAGS["on_foot"]:
@@ -189,6 +181,20 @@ def _mark_ways(root: Element, lefthand: bool) -> None:
         for key, word in words.items():
             if word:
                 SubElement(way, "tag", {"k": key, "v": word})
+
+
+def _pavements(tags: dict[str, str], lefthand: bool) -> dict[str, str]:
+    """What the tags of a way say of pavements: for each side, and in netconvert's word; empty words take tags away."""
+    sides = meanings("streets", tags)
+    words = {key: "" for key in tags if key.startswith("sidewalk")}
+    words |= {f"pavement_{side}": told for side, told in sides.items()}
+    if mapped := [side for side, told in sides.items() if told == "paved"]:
+        # netconvert calls the side of those who drive along the way the right.
+        named = {"left": "right", "right": "left"}[mapped[0]] if lefthand else mapped[0]
+        words["sidewalk"] = "both" if len(mapped) == 2 else named
+    elif "bare" in sides.values():
+        words["sidewalk"] = "no"  # else it takes foot=yes for pavements; a guess comes later
+    return words
 
 
 def denied_crossings(root: Element) -> list[str]:
@@ -209,23 +215,28 @@ def edge_lists(root: Element, net: Net | None = None, net_path: Path = Path()) -
     for way in ways.values():
         refs = [nd.get("ref") for nd in way.iterfind("nd")]
         if {"highway", "pavement_left"} <= _read_tags(way).keys() and not crossings.isdisjoint(refs):
-            numbers = ["", *(f"#{number}" for number in range(len(refs)))]
-            joined += [f"{sign}{way.get('id')}{number}" for sign in ("", "-") for number in numbers]
-    denied: set[str] = set()
+            names = [way.get("id", ""), *(f"{way.get('id')}#{number}" for number in range(len(refs)))]
+            joined += [*names, *(f"-{name}" for name in names)]
+    denied: list[str] = []
     if net is not None:
         places, made_of = _places(root), osm_ways_by_edge(net_path)
-        for edge in [edge for edge in net.streets if edge.has(LaneKind.SIDEWALK)]:
-            named = edge.id.partition("#")[0]
-            for way in (ways[way_id] for way_id in made_of[edge.id] if way_id in ways):
-                along = named == way.get("id")
-                if named not in (way.get("id"), f"-{way.get('id')}"):  # it was joined to the way that gives the name
-                    ends = [places[nd.get("ref", "")] for nd in way.iterfind("nd") if nd.get("ref") in places]
-                    step_m = edge.lanes[0].points_m[-1] - edge.lanes[0].points_m[0]
-                    along = bool(np.dot(np.subtract(ends[-1], ends[0]), step_m) > 0.0)
-                side = "right" if along != net.lefthand else "left"
-                if _read_tags(way).get(f"pavement_{side}", "bare") == "bare":
-                    denied.add(edge.id)
-    return {"geometry.remove.keep-edges.explicit": joined, "sidewalks.guess.exclude": sorted(denied)}
+        for edge in net.streets:
+            known = [ways[way_id] for way_id in made_of[edge.id] if way_id in ways]
+            if edge.has(LaneKind.SIDEWALK) and any(_denies(way, edge, places, net.lefthand) for way in known):
+                denied.append(edge.id)
+    return {"geometry.remove.keep-edges.explicit": joined, "sidewalks.guess.exclude": denied}
+
+
+def _denies(way: Element, edge: Edge, places: dict[str, tuple[float, float]], lefthand: bool) -> bool:
+    """Whether a way has no pavement on the side of an edge that was made of it."""
+    named, way_id = edge.id.partition("#")[0], way.get("id", "")
+    along = named == way_id
+    if named not in (way_id, f"-{way_id}"):  # it was joined to the way that gives the name
+        ends = [places[nd.get("ref", "")] for nd in way.iterfind("nd") if nd.get("ref") in places]
+        step_m = edge.lanes[0].points_m[-1] - edge.lanes[0].points_m[0]
+        along = bool(np.dot(np.subtract(ends[-1], ends[0]), step_m) > 0.0)
+    side = "right" if along != lefthand else "left"
+    return _read_tags(way).get(f"pavement_{side}", "bare") == "bare"
 
 
 def _is_motorway(tag: dict[str, str]) -> bool:
