@@ -70,11 +70,8 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
     Raises TownError for one that is too small, and for two of one name; ConfigError for one that is held out.
     """
     config = resolve("quick", SETTINGS)
-    if order.to_choose_by:
-        for town, _ in towns:
-            refuse_held_out_town(town)
     by_name(town for town, _ in towns)
-    listed = [_listed_as(town, seed) for town, seed in towns]
+    listed = [_listed_as(town, seed, order.to_choose_by) for town, seed in towns]
     named = tuple(
         SuiteTown(name=name, sha256=content_hash(town), made_seed=seed)
         for name, (town, seed) in zip(listed, towns, strict=True)
@@ -99,8 +96,13 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
     )
 
 
-def _listed_as(town: Town, made_seed: int | None) -> str:
-    """What a list calls a town, so that a test finds it again: its name where that leads to it, else where it lies."""
+def _listed_as(town: Town, made_seed: int | None, to_choose_by: bool = False) -> str:
+    """What a list calls a town, so that a test finds it again: its name where that leads to it, else where it lies.
+
+    Raises ConfigError for one that is held out, for a list to choose by.
+    """
+    if to_choose_by:
+        refuse_held_out_town(town)
     if made_seed is None:
         with suppress(TownError):
             if find_town(town.name).sumocfg.resolve() == town.sumocfg.resolve():
