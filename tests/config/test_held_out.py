@@ -1,5 +1,6 @@
 """What is kept for tests is refused wherever something learns, or is chosen."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -42,9 +43,7 @@ def test_neither_a_file_nor_data_brings_a_user_or_town_that_is_held_out(tmp_path
 
 
 def test_a_made_town_that_is_held_out_is_known_by_its_seed(corner: Path, corner_town: Town, tmp_path: Path) -> None:
-    (tmp_path / "town").mkdir()
-    for path in corner.iterdir():
-        (tmp_path / "town" / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(corner, tmp_path / "town")
     toml = tmp_path / "town" / "town.toml"
     toml.write_text(f'{toml.read_text()}rebuild = "wcsim town make x --seed 5953 --out . --kind random"\n')
     config = resolve(RunConfig(), (f'collect.towns=["{tmp_path}/town"]',))

@@ -101,7 +101,7 @@ def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, t
     ]
     card = TOOL["card"](run, [])
     assert "| trained in | helsinki, corner, monaco (streets" in card and "| data | 3 segments" in card
-    assert "switch, ataxic |" in card and "held out" not in card
+    assert "switch, ataxic; recorded is held out |" in card
     began_with = {str(collected): {f"{names[0]}.npz.zst": "d" * 64}}
     files.write_json(run.path / LEARNED, {"schema_version": 1, "folders": began_with})
     assert [line.split(told)[0] for line in TOOL["commands"](run)[:-1]] == [f"{collect} --seed 1 --segments 1"]

@@ -13,6 +13,7 @@ from shutil import copytree
 from typing import Any, Final
 
 import numpy as np
+import torch
 
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
@@ -185,6 +186,9 @@ def _train_rounds(
                     mine = segment.driver == driver
                     driven[place : place + 2] += int(mine.sum()), int(segment.crashed[mine].sum())
             dataset.begin(seeding.make_rng(seed, "agent", "lectures", number))
+            torch.manual_seed(
+                seeding.derive_seed(seed, "agent", "learn", number)
+            )  # of networks that draw, as by dropout
             now = replace(now, segments=now.of)
             loss = _learn(learner, dataset, config.danger.updates, now, progress)
             segments |= came
