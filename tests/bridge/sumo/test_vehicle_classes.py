@@ -54,6 +54,8 @@ def test_one_of_each_drives_in_sumo_and_is_mirrored_and_drawn(tmp_path):
     routes = one_of_each() + (
         '<vType id="odd" vClass="hovercraft" length="0.12" width="0.1" height="0.15"/>'
         '<vehicle id="odd" type="odd" depart="0" departPos="5" departLane="4"><route edges="EC CW"/></vehicle>'
+        '<vType id="board" vClass="bicycle" guiShape="scooter"/>'
+        '<vehicle id="board" type="board" depart="0" departPos="60" departLane="best"><route edges="EC CW"/></vehicle>'
         '<person id="rolls" depart="0" departPos="200" type="t.wheelchair"><walk from="WC" to="CE"/></person>'
     )
     with mirror_loop(build_street(tmp_path, routes)) as loop:
@@ -67,6 +69,7 @@ def test_one_of_each_drives_in_sumo_and_is_mirrored_and_drawn(tmp_path):
     for name in CLASSES:
         assert kinds[f"v:{name}"] is KIND_OF_CLASS[name] or name == "emergency"
     assert kinds["v:odd"] is ActorKind.CAR, "SUMO reads an unknown class as ignoring"
+    assert kinds["v:board"] is ActorKind.SCOOTER, "where maps let bicycles ride alone"
     assert kinds["p:rolls"] is ActorKind.WHEELCHAIR
     assert len(drawn) == len(loop.actors)
 

@@ -247,7 +247,11 @@ class ActorReader:
         body = self._bodies.get(key)
         if body is None:
             size = _sane_size(domain.getLength(name), domain.getWidth(name), domain.getHeight(name))
-            kind, look = _kind_and_look(domain.getVehicleClass(name), size)
+            vehicle_class = domain.getVehicleClass(name)
+            # Maps open no way for SUMO's class of e-scooters: they are bicycles of another shape.
+            if vehicle_class == "bicycle" and domain.getShapeClass(name) == "scooter":
+                vehicle_class = "scooter"
+            kind, look = _kind_and_look(vehicle_class, size)
             body = self._bodies[key] = _Body(kind=kind, look=look, size_lwh_m=size)
         return body
 
