@@ -234,7 +234,9 @@ def _converted(order: ImportOrder, root: Element, folder: Path, dropped: frozens
     (folder / EXTRACT).write_bytes(xml_bytes(root))
     config = folder / "edges.netccfg"
     place = _convert_net(order, EXTRACT, folder, by_file(edge_lists(root), config))
-    _convert_net(order, EXTRACT, folder, by_file(edge_lists(root, read_net(place), place), config))
+    lists = edge_lists(root, read_net(place), place)
+    if lists["sidewalks.guess.exclude"]:
+        _convert_net(order, EXTRACT, folder, by_file(lists, config))
     config.unlink()
     drop_crossings(place, denied_crossings(root))
     net = read_net(place)
