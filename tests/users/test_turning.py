@@ -73,6 +73,24 @@ def test_a_user_that_hangs_on_something_backs_up_before_giving_up(name):
     assert (min(intents) < 0.0) == (name == "competent")  # four switches have no reverse
 
 
+@pytest.mark.parametrize("name", ["competent", "inattentive", "ataxic", "slow"])
+def test_a_user_whose_chair_stands_against_something_lets_go_for_a_while(name):
+    sim = Sim(make_user(name, street=STREET), polyline((0.0, 5.5), (40.0, 5.5)), Chair(x=5.0, y=5.5))
+    sim.run(4.0)
+    sim.frozen, sim.chair.v = True, 0.0
+    hand = sim.user.profile.reaction_s + sim.user.profile.lag_s
+    sticks = []
+    for _ in range(60):
+        sim.tick()
+        intent = sim.user.intent
+        sticks.append(math.hypot(intent.x, intent.y))
+    rests_s = [0.1 * tick for tick, stick in enumerate(sticks, 1) if stick == 0.0]
+    # Felt after a second, and the stick follows through the hand.
+    assert rests_s[0] == pytest.approx(1.0 + hand, abs=0.45)
+    again_s = next(0.1 * tick for tick, stick in enumerate(sticks, 1) if stick > 0.0 and 0.1 * tick > rests_s[0])
+    assert again_s == pytest.approx(2.5, abs=0.55)
+
+
 def test_turning_in_a_hairpin_never_leads_back_to_its_first_leg():
     """Out on one crossing and back on the next: both legs are equally near to a chair that turns between them."""
     legs = polyline((-5.0, 5.5), (5.0, 5.5), (5.0, 5.7), (-5.0, 6.2))

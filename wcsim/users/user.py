@@ -69,7 +69,9 @@ _STANDS_MPS: Final = 0.25  # a slower chair may plan a turn in place
 _MOST_TURN_AHEAD_RAD: Final = 2.0
 _CREEP_MPS: Final = 0.3
 _BACK_STICK: Final = -0.5
-# A chair that gets a command for so long and moves less than this hangs somewhere.
+# A chair that gets a command for so long and moves less than this hangs somewhere. Who feels that
+# the chair stands lets go before.
+_LET_GO_S: Final = 1.0
 _STUCK_S: Final = 2.5
 _STUCK_M: Final = 0.1
 _STUCK_RAD: Final = 0.15
@@ -298,7 +300,11 @@ class SimulatedUser(User):
         else:
             self._intent = self._unattended(body, dt_s)
 
-        # 5. Judge the progress: too long without any, and the user gives up.
+        # 5. Let go where the chair stands against something. That is felt, without a look.
+        if self._lets_go(body, view.time_s):
+            self._intent = AT_REST
+
+        # 6. Judge the progress: too long without any, and the user gives up.
         if self._arc_m > self._furthest_m + _PROGRESS_M:
             self._furthest_m = self._arc_m
             self._blocked_s = 0.0
@@ -309,7 +315,7 @@ class SimulatedUser(User):
         if self.arrived or self.gave_up:
             self._intent = AT_REST
 
-        # 6. Send the intent on its way. The hand gets it after the reaction time.
+        # 7. Send the intent on its way. The hand gets it after the reaction time.
         self._hand.send_intent(self._intent)
 
     def _plan(self, view: UserView, body: PredictedChairPose, path: RoutePolyline) -> Joystick:
@@ -354,8 +360,7 @@ class SimulatedUser(User):
             self._wait_factor = _WAIT_FACTOR
             return self._straight_on(body, speed_mps)
 
-        # 6. Get free, turn in place, or drive on.
-        self._back_up_when_stuck(body, view.time_s)
+        # 6. Turn in place, or drive on.
         turn = self._turn_in_place(body, goal, seen, view.time_s)
         return self._steer(body, goal, speed_mps) if turn is None else turn
 
@@ -432,19 +437,27 @@ class SimulatedUser(User):
             goal = path.at(arc_m + farther_m, self._lanes.offset_m)
         return goal
 
-    def _back_up_when_stuck(self, body: PredictedChairPose, time_s: float) -> None:
-        """Plan to back up, or next time to creep on, when the chair hangs on something.
+    def _lets_go(self, body: PredictedChairPose, time_s: float) -> bool:
+        """Whether the hand rests because the chair hangs on something.
 
-        It may be a kerb, or a caster that stands across.
+        It may be a kerb, a wall, or a caster that stands across. After the rest the user tries
+        again: it backs up, or next time creeps on.
         """
+        standing_s = 0.0 if self._moved is None else time_s - self._moved[0]
+        # The chair cannot move before the hand does.
+        rests = standing_s > _LET_GO_S + self._delay_s
         pushes = math.hypot(self._intent.x, self._intent.y) > _CALM_STICK
-        if self._moved is None or not pushes or _are_apart(self._moved[1], body):
+        if self._moved is None or not (pushes or rests) or _are_apart(self._moved[1], body):
             self._moved = (time_s, body)
-        elif time_s - self._moved[0] > _STUCK_S and not self.profile.discrete:
+            return False
+        if standing_s <= _STUCK_S:
+            return rests
+        self._moved = (time_s, body)
+        if not self.profile.discrete:
             self._freed_m = -self._freed_m
             way_out = TurnPlan(move_m=self._freed_m, turn_rad=0.0)
             self._turn = ActiveTurn(way_out, self._axle(body), time_s)
-            self._moved = (time_s, body)
+        return False
 
     def _turn_in_place(
         self,
