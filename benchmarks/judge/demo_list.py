@@ -43,7 +43,7 @@ def demo_list(work: Path, jobs: int, told: Callable[[str], object]) -> SuiteFile
     ways = [block.model_copy(update={"episodes": (each,)}) for block in drawn[:SEARCHED] for each in block.episodes]
 
     def listed(blocks: Sequence[SuiteBlock]) -> SuiteFile:
-        return SuiteFile(suite="street-help-v1", set="demo", settings=SETTINGS, towns=(named,), blocks=tuple(blocks))
+        return SuiteFile(suite="street-help-v2", set="demo", settings=SETTINGS, towns=(named,), blocks=tuple(blocks))
 
     def most(number: int, tries: Sequence[Sequence[SuiteBlock]]) -> list[int]:
         """Those with the most own crashes of the user alone; among equals the first."""

@@ -66,20 +66,16 @@ def parts(out: Path) -> list[Part]:
     Args:
         out: The folder of everything that is made.
     """
-    found = [Part(name="baselines", says="all baselines on Street Assist v1", steps=(judged(out, "v1", ()),))]
+    found = [Part(name="baselines", says="all baselines on suite dev", steps=(judged(out, ()),))]
     found += [
         Part(name=f"laptop-{seed}", says=f"preset laptop, seed {seed}", steps=(trained(out, f"laptop-{seed}", seed),))
         for seed in SEEDS
     ]
     runs = tuple(f"laptop-{seed}" for seed in SEEDS)
     paper = trained(out, "paper-1", 1, "paper", (f"learn.total_steps={PAPER_STEPS}",))
-    told = f"preset paper, {PAPER_STEPS:,} steps (as long as preset laptop takes)"
-    found.append(Part(name="paper", says=told, steps=(paper,)))
-    found.append(
-        Part(name="paper-v1", says="that network on Street Assist v1", steps=(paper, judged(out, "v1", ("paper-1",))))
-    )
-    found.append(Part(name="v1", says="these three networks on Street Assist v1", steps=(judged(out, "v1", runs),)))
-    both = judged(out, "dev", runs), judged(out, "dev", runs, alone=True, settings=(AT_0_MS,))
+    told = f"preset paper, {PAPER_STEPS:,} steps (as long as preset laptop takes), on suite dev"
+    found.append(Part(name="paper", says=told, steps=(paper, judged(out, ("paper-1",)))))
+    both = judged(out, runs), judged(out, runs, alone=True, settings=(AT_0_MS,))
     found.append(Part(name="dev", says="these three networks on suite dev, with and without delay", steps=both))
     found += [_small(out, preset) for preset in ("quick", "dqn")]
     return found + list(_ablations(out))
@@ -87,7 +83,7 @@ def parts(out: Path) -> list[Part]:
 
 def _small(out: Path, preset: str) -> Part:
     runs = tuple(f"{preset}-{seed}" for seed in SEEDS)
-    steps = (*(trained(out, name, int(name[-1]), preset) for name in runs), judged(out, "dev", runs, alone=True))
+    steps = (*(trained(out, name, int(name[-1]), preset) for name in runs), judged(out, runs, alone=True))
     return Part(name=preset, says=f"preset {preset}, three seeds, on suite dev", steps=steps)
 
 
@@ -96,11 +92,11 @@ def _ablations(out: Path) -> Iterator[Part]:
     for name, settings in OF_THE_NETWORK.items():
         run = f"ablation-{name}"
         learned = trained(out, run, 1, settings=(*ALL_AT_ONCE, *settings), data=out / "laptop-1" / "data")
-        steps = first, learned, judged(out, "dev", (run,), alone=True)
+        steps = first, learned, judged(out, (run,), alone=True)
         yield Part(name=run, says=f"learn from the dataset of laptop-1, {_told(settings)}", steps=steps)
     for name, settings in OF_THE_DRIVING.items():
         run = f"ablation-{name}"
-        steps = trained(out, run, 1, settings=(*FEWER_ROUNDS, *settings)), judged(out, "dev", (run,), alone=True)
+        steps = trained(out, run, 1, settings=(*FEWER_ROUNDS, *settings)), judged(out, (run,), alone=True)
         yield Part(name=run, says=f"preset laptop {_told((*FEWER_ROUNDS, *settings))}", steps=steps)
 
 
@@ -120,15 +116,15 @@ def trained(
     return Step(words=words, again=again, folder=run, makes=run / MANIFEST)
 
 
-def judged(out: Path, suite: str, runs: tuple[str, ...], alone: bool = False, settings: tuple[str, ...] = ()) -> Step:
-    """A test of runs on a suite, beside all baselines or beside the user alone; kept blocks are not driven again."""
-    kind = "-".join((suite, *(setting.replace("=", "-") for setting in settings)))
+def judged(out: Path, runs: tuple[str, ...], alone: bool = False, settings: tuple[str, ...] = ()) -> Step:
+    """A test of runs on suite dev, beside all baselines or beside the user alone; kept blocks are not driven again."""
+    kind = "-".join(("dev", *(setting.replace("=", "-") for setting in settings)))
     name = "-".join((kind, *runs))
     policies = tuple(str(out / run) for run in runs) or BASELINES
     # One folder a suite and its settings: what it has kept of the baselines serves every test.
     folder = out / "judged" / kind
     table = out / "tables" / f"{name}.json"
-    words = ("test", *policies, "--suite", suite, "--jobs", "2", "--out", str(folder), *(("--only",) if alone else ()))
+    words = ("test", *policies, "--suite", "dev", "--jobs", "2", "--out", str(folder), *(("--only",) if alone else ()))
     words = (*words, *_set(settings), "--json", str(table))
     return Step(words=words, again=(*words, "--resume"), folder=folder, makes=table)
 

@@ -22,10 +22,10 @@ def page(out: Path) -> str:
         result = json.loads(path.read_text(encoding="utf-8"))
         said = f"{result['suite']}-{result['set']}, list `{result['list_sha256'][:12]}`"
         found.append(f"### {path.stem} ({said})\n\n" + suite_table(result, out))
-    v1 = out / "judged" / "v1"
+    dev = out / "judged" / "dev"
     runs = [name for name in (f"laptop-{seed}" for seed in SEEDS) if (out / name).is_dir()]
-    if (v1 / "episodes.json").is_file() and runs:
-        found.append(pooled_text(v1, [str(out / name) for name in runs]))
+    if (dev / "episodes.json").is_file() and runs:
+        found.append(pooled_text(dev, [str(out / name) for name in runs]))
     found.append(delay_text(out, runs))
     return "\n".join(found)
 
@@ -57,7 +57,7 @@ def pooled_text(folder: Path, runs: Sequence[str]) -> str:
 
 def delay_text(out: Path, runs: Sequence[str]) -> str:
     """Scores on `dev` with and without delay, one row a network; "" until both are driven."""
-    both = [judged(out, "dev", tuple(runs), settings=settings).makes for settings in ((), (AT_0_MS,))]
+    both = [judged(out, tuple(runs), settings=settings).makes for settings in ((), (AT_0_MS,))]
     if not all(path.is_file() for path in both):
         return ""
     results = [json.loads(path.read_text(encoding="utf-8")) for path in both]

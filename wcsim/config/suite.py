@@ -86,6 +86,8 @@ class SuiteFile(Model):
     set: Annotated[
         str, Field(pattern=make_suite_name_pattern(MOST_SET))
     ]  # dev, validation, v1, or a town's
+    # The only version of wcsim that has its towns; None: any that does. Not part of the identity.
+    version: Text | None = None
     settings: Texts  # section.key=value, over the policy's own
     towns: Annotated[tuple[SuiteTown, ...], Field(min_length=1, max_length=64)]
     # Episodes whose interventions are judged, at most.

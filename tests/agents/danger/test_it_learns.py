@@ -111,7 +111,7 @@ def _mirrored_in_part(monkeypatch, pictures_alone):
     def half(self, picks, mirror=False):
         plain, turned = batch(self, picks), batch(self, picks, mirror=mirror)
         pictures, rest = (turned, plain) if pictures_alone else (plain, turned)
-        return replace(rest, inputs=(pictures.inputs[0], *rest.inputs[1:3], pictures.inputs[3]))
+        return replace(rest, inputs=(pictures.inputs[0], *rest.inputs[1:]))
 
     monkeypatch.setattr(Dataset, "batch", half)
 

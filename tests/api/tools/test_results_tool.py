@@ -37,7 +37,7 @@ def test_what_is_made_is_not_made_again_and_what_was_stopped_goes_on(tmp_path):
 
 
 def test_a_table_that_is_there_is_made(tmp_path):
-    step = judged(tmp_path, "dev", ())
+    step = judged(tmp_path, ())
     assert not step.is_made
     step.makes.parent.mkdir()
     step.makes.touch()
@@ -74,7 +74,7 @@ def test_a_table_has_the_columns_of_the_console(tmp_path):
 
 
 def test_what_a_delay_costs_is_said_once_both_lists_are_driven(tmp_path):
-    late, prompt = (judged(tmp_path, "dev", ("n-1",), settings=settings) for settings in ((), (AT_0_MS,)))
+    late, prompt = (judged(tmp_path, ("n-1",), settings=settings) for settings in ((), (AT_0_MS,)))
     assert late.folder != prompt.folder and "--set" not in late.words and AT_0_MS in prompt.words
     late.makes.parent.mkdir()
     for step, score in ((late, 0.6), (prompt, 0.8)):

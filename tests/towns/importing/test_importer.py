@@ -74,7 +74,6 @@ def test_an_import_that_is_ended_as_soon_as_its_folder_is_made_leaves_none(
     assert not list((tmp_path / "towns").iterdir())
 
 
-@pytest.mark.xfail(strict=True, reason="the shipped towns were imported before their ways were held against the map")
 def test_shipped_net_is_what_its_extract_gives(order: ImportOrder, manhattan_town: Town) -> None:
     osm = manhattan_town.folder / "osm"
     box = Box.of((osm / "bbox").read_text())

@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wcsim.agents.opening.list_file import open_suite
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, DiskFullError
 from wcsim.scenes.run import _open_scene, play
 from wcsim.towns.scene_folders.build import _scene_of
 from wcsim.towns.scene_folders.draft import Push, mirrored, predict_path
-from wcsim.towns.scene_folders.families import FAMILIES, LISTED, TRAINED, _scooter_cuts_in, family_of, write_scene
+from wcsim.towns.scene_folders.families import FAMILIES, TRAINED, _scooter_cuts_in, family_of, write_scene
 from wcsim.types import ClassId
 from wcsim.types.chair import AT_REST
 
@@ -125,12 +124,6 @@ def test_another_family_takes_its_share_and_moves_no_other(monkeypatch):
 def test_trainings_draw_no_scene_of_a_family_that_is_held_out():
     held = {"bus-at-corner", "overtaking-rider"}
     assert held < set(FAMILIES) and not held & set(TRAINED)
-
-
-def test_lists_of_version_1_name_the_families_that_they_were_made_of():
-    named = {block.town for name in ("dev", "validation", "v1") for block in open_suite(name).file.blocks
-             if block.part == "tight"}  # fmt: skip
-    assert named == set(LISTED)
 
 
 def test_a_mirror_turned_over_twice_changes_nothing() -> None:

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
@@ -83,7 +84,7 @@ def open_suite_to_choose_by(name_or_path: str) -> HashedSuite:
 
 def suite_from_file(file: SuiteFile) -> HashedSuite:
     """A list with its hash."""
-    data = file.model_dump(mode="json")
+    data = file.model_dump(mode="json", exclude={"version"})
     # The one spelling of plain data that is hashed.
     text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return HashedSuite(file=file, sha256=hashlib.sha256(text.encode()).hexdigest())
@@ -91,7 +92,7 @@ def suite_from_file(file: SuiteFile) -> HashedSuite:
 
 def write_list(file: SuiteFile, path: Path) -> None:
     """Write a list, an episode a line, so that a change shows in a diff. Raises OSError."""
-    head = file.model_dump(mode="json", exclude={"blocks"})
+    head = file.model_dump(mode="json", exclude={"blocks"}, exclude_none=True)
     lines = [json.dumps(head)[:-1] + ', "blocks": [']
     for number, block in enumerate(file.blocks, 1):
         facts = json.dumps(block.model_dump(mode="json", exclude={"episodes"}))[:-1]
@@ -106,9 +107,15 @@ def load_suite_towns(file: SuiteFile, folder: Path) -> dict[str, Town]:
     """The list's towns, by name; those made of a seed are made in `folder`, if they are not there.
 
     Raises:
-        TownError: One is missing, or is another than that of the list.
+        TownError: The list is of another version, or a town is missing, or not that of the list.
         SumoError: One of SUMO's tools failed at a made one.
     """
+    here = version("wcsim")
+    if file.version not in (None, here):
+        raise TownError(
+            f"the list {file.suite} {file.set} is of wcsim {file.version}, and this is {here}, "
+            "whose towns are others: install that version, or use another list"
+        )
     towns = {}
     for entry in file.towns:
         seed = entry.made_seed

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, replace
+from importlib.metadata import version
 
 import pytest
 
@@ -26,6 +27,7 @@ from wcsim.agents.opening.list_file import (
 )
 from wcsim.core.sources import hash_package_code
 from wcsim.errors import ConfigError, TownError
+from wcsim.towns.scene_folders.families import LISTED, TRAINED
 
 
 def told(records):
@@ -127,6 +129,16 @@ def test_a_town_with_other_streets_is_refused(corner, tmp_path):
         load_suite_towns(suite_from_file(other).file, tmp_path)
 
 
+def test_a_list_of_another_version_names_it_and_is_the_same_list_with_any(corner, tmp_path):
+    file = suite_in(corner, block_of(corner)).file
+    of_then, of_now = (file.model_copy(update={"version": name}) for name in ("0.2.0", version("wcsim")))
+    assert {suite_from_file(each).sha256 for each in (file, of_then, of_now)} == {suite_from_file(file).sha256}
+    assert load_suite_towns(of_now, tmp_path)
+    with pytest.raises(TownError, match=r"of wcsim 0\.2\.0.*install"):
+        load_suite_towns(of_then, tmp_path)
+    assert open_suite("v1").file.version == "0.2.0" and open_suite("v1").sha256.startswith("d2767993d1e8")
+
+
 def test_a_list_that_is_none_is_refused(tmp_path):
     for name in (str(tmp_path / "nothing.json"), "a" * 5000, "~nobody-is-called-so/list.json"):
         with pytest.raises(ConfigError, match="no such list"):
@@ -140,11 +152,13 @@ def test_the_lists_that_come_with_wcsim_are_whole():
     names = [name for name in list_shipped_suites() if name != "demo"]  # see tests/cli/training/test_demo_helps.py
     for name in names:
         suite = open_suite(name)
-        assert suite.file.set == name and suite.file.suite == "street-assist-v1"
+        assert suite.file.set == name and suite.file.suite == f"street-assist-{'v1' if name == 'v1' else 'v2'}"
         require_block_towns(suite.file)
         assert {block.part for block in suite.file.blocks} == {"free", "crossing", "hazard", "tight"}
-        tight = [block.seed for block in suite.file.blocks if block.part == "tight"]
-        assert len(set(tight)) * 10 == len(tight)  # each seed in each of ten families
+        tight = [block for block in suite.file.blocks if block.part == "tight"]
+        families = {block.town for block in tight}
+        assert len(tight) == len({block.seed for block in tight}) * len(families)  # each seed in each family
+        assert name == "v1" or families == set(TRAINED if name == "validation" else LISTED)
     seeds = [{b.seed for b in open_suite(name).file.blocks if b.part == "tight"} for name in names]
     assert sum(map(len, seeds)) == len(set().union(*seeds))  # no scene is in two of them
     assert names == ["dev", "v1", "validation"]
