@@ -122,7 +122,7 @@ def value_of_going_right(double_q, noise):
         },
         replay_buffer_kwargs=memory_of(gamma=0.95, seed=1),
     )  # fmt: skip
-    first = {key: torch.as_tensor(value)[None] for key, value in Biased().observe(False).items()}
+    first = {key: torch.as_tensor(value)[None] for key, value in Biased().reset()[0].items()}
     right, found = torch.as_tensor(learner.action_points.points[:, 0] > 0), []
     for _ in range(32):
         learner.learn(25, reset_num_timesteps=False)
