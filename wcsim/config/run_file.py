@@ -210,10 +210,10 @@ class RunManifestFile(Model):
 class DrivingDataFile(Model):
     """`data.json` of a folder of recorded driving."""
 
-    schema_version: Literal[1]
+    schema_version: Literal[2]  # data of version 1 may have scenes that are held out
     settings_sha256: Sha256  # what it has in common with whoever learns from it
     config: dict[str, Any]  # all settings of the driving; of another version, perhaps
-    plant_sha256: MaybeSha256 = ""  # of the file that chair.plant names, where it is the user's own
+    plant_sha256: MaybeSha256  # of the file that chair.plant names, where it is the user's own
     towns: Annotated[dict[Text, Sha256], Field(max_length=4096)]
     segments: Segments
     data_sha256: Sha256

@@ -223,12 +223,12 @@ def test_a_wheelchair_of_ones_own_is_known_by_what_its_file_says(tmp_path: Path)
             require_same_data_settings(tmp_path, file, dqn_config(f"chair.plant={other}"))
 
 
-def test_data_of_before_own_wheelchairs_were_known_is_learned_from(tmp_path: Path):
+def test_data_of_before_scenes_were_held_out_is_refused(tmp_path: Path):
     write_data_manifest(tmp_path, dqn_config(), {"corner": TOWN}, {})
     said = json.loads((tmp_path / "data.json").read_text())
-    del said["plant_sha256"]
-    (tmp_path / "data.json").write_text(json.dumps(said))
-    require_same_data_settings(tmp_path, read_data_manifest(tmp_path), dqn_config())
+    (tmp_path / "data.json").write_text(json.dumps({**said, "schema_version": 1}))
+    with pytest.raises(PolicyError, match="schema_version"):
+        read_data_manifest(tmp_path)
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -8,7 +8,7 @@ import shapely
 
 from wcsim.core.seeding import make_rng
 from wcsim.towns.ground.surfaces import lane_area
-from wcsim.towns.making.drawn_map import _build_blocks, _dress, draw_map
+from wcsim.towns.making.drawn_map import _OPEN, _Blocks, _build_blocks, _dress, _leave_open, draw_map
 from wcsim.towns.making.maker import _make_streets, _Signals, _write_net
 from wcsim.towns.making.plan import draw_plan, shape_plan
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
@@ -37,6 +37,14 @@ def test_houses_stand_beside_the_streets_and_beside_each_other(net: Net) -> None
     assert max(shared_m2, default=0.0) < 0.6 * 30.0 * 0.03
     for area in (*blocks.car_parks, *blocks.squares):
         assert area.intersection(streets).area < 0.1
+
+
+@pytest.mark.parametrize("use", sorted(set(_OPEN)))
+def test_a_narrow_block_has_no_empty_outline(use: str) -> None:
+    found = _Blocks()
+    _leave_open(shapely.box(0.0, 0.0, 60.0, 1.8), use, found)
+    outlines = [*(outline for _, outline in found.greens), *found.squares, *found.car_parks]
+    assert not any(outline.is_empty for outline in outlines)
 
 
 def test_posts_stand_at_the_kerb_and_nothing_on_road_or_crossing(net: Net) -> None:

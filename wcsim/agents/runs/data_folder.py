@@ -252,7 +252,7 @@ def write_data_manifest(
     """
     digest = hash_segments(segments)
     data = {
-        "schema_version": 1,
+        "schema_version": 2,
         "settings_sha256": _settings_digest(config),
         "config": config.model_dump(mode="json"),
         "plant_sha256": _plant_sha256(config),

@@ -204,18 +204,21 @@ def _street_area(net: Net) -> BaseGeometry:
 
 
 def _leave_open(block: Polygon, use: str, found: _Blocks) -> None:
-    inner = _largest(block.buffer(-1.0, join_style="mitre"))
+    if use == "square":
+        found.squares.append(_largest(block.buffer(-0.05, join_style="mitre")))
+        return
+    # A narrow block has no ground so far from its streets.
+    inner = _largest(block.buffer(-1.0 if use == "park" else -1.5, join_style="mitre"))
+    if inner.is_empty:
+        return
     if use == "park":
         found.greens.append(("leisure.park", inner))
-    elif use == "square":
-        found.squares.append(_largest(block.buffer(-0.05, join_style="mitre")))
-    else:
-        inner = _largest(block.buffer(-1.5, join_style="mitre"))
-        lot = _largest(inner.intersection(_near_front(inner).buffer(_CAR_PARK_REACH_M, cap_style="square")))
-        found.car_parks.append(lot)
-        rest = _largest(block.buffer(-0.3).difference(lot.buffer(1.0, join_style="mitre")))
-        if rest.area > _LEAST_BLOCK_M2:
-            found.greens.append(("landuse.grass", rest))
+        return
+    lot = _largest(inner.intersection(_near_front(inner).buffer(_CAR_PARK_REACH_M, cap_style="square")))
+    found.car_parks.append(lot)
+    rest = _largest(block.buffer(-0.3).difference(lot.buffer(1.0, join_style="mitre")))
+    if rest.area > _LEAST_BLOCK_M2:
+        found.greens.append(("landuse.grass", rest))
 
 
 def _near_front(inner: Polygon) -> shapely.Point:
