@@ -45,7 +45,7 @@ OPTIONS = {
     "soak --steps 50 --slow 4 --twice --set learn.gamma=0.9": ("--steps, --slow, --twice, --set: only learners",),
     "soak --networks patch,fig6 --clients 3": ("--clients 3", "--networks"),
     "soak --networks patch,fig6 --twice --kills 2": ("--kills: --twice compares two runs without faults",),
-    "tick --town atlantis": ("unknown town 'atlantis'", "helsinki, manhattan, monaco"),
+    "tick --town atlantis": ("unknown town 'atlantis'", "helsinki, karhula, manhattan, monaco"),
 }
 
 

@@ -75,7 +75,7 @@ def test_town_list_shows_the_shipped_towns_and_ones_own(wcsim, corner):
     result = wcsim("town", "list")
     assert (result.code, result.err) == (0, "")
     shown = re.findall(r"(\w[\w-]*) +│ (train|test|scene) ", result.out)
-    assert shown == [("helsinki", "train"), ("manhattan", "test"), ("monaco", "test")]
+    assert shown == [("helsinki", "train"), ("karhula", "train"), ("manhattan", "test"), ("monaco", "test")]
     assert fits(result.out)
     Path("scenarios/sumo").mkdir(parents=True)
     Path("scenarios/sumo/bay-corner").symlink_to(corner)

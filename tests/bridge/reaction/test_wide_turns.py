@@ -192,10 +192,10 @@ def swept(found: Town, few: int = 1):
         yield vehicle, [sweep(corner, vehicle, ground) for corner in corners[::few]]
 
 
-def test_at_some_corners_of_manhattan_long_vehicles_cover_less_than_half():
+def test_at_some_corners_of_manhattan_long_vehicles_cover_a_third_less():
     for vehicle, sweeps in swept(find_town("manhattan"), 4):
         if sweeps:
-            assert sum(one.after_m2 for one in sweeps) < 0.6 * sum(one.before_m2 for one in sweeps), vehicle.name
+            assert sum(one.after_m2 for one in sweeps) < 0.7 * sum(one.before_m2 for one in sweeps), vehicle.name
 
 
 @pytest.mark.proof
