@@ -1,4 +1,7 @@
-"""Makes a town's street: mesh, grid and walk graph. All that this file imports, and that imports, makes the street."""
+"""Makes a town's street: mesh, grid and walk graph.
+
+All that this file imports, and that imports, makes the street.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,9 @@ if TYPE_CHECKING:
 
 
 def build_street(town: Town, at: Callable[[str], object] = lambda part: None) -> Packed:
-    """Make the street of a town from its net and polygons, without any cache; `unpack_street` opens it.
+    """Make the street of a town from its net and polygons, without any cache.
+
+    `unpack_street` opens it.
 
     Args:
         town: The town.
@@ -56,32 +61,45 @@ def build_street(town: Town, at: Callable[[str], object] = lambda part: None) ->
     streets = make_surfaces(net, town.file.chair_ways, unmarked_crossings(items, net))
     surfaces = covered(streets, items, net)
     if surfaces.low.is_empty and surfaces.pavement.is_empty:
-        raise TownError(f"{town.net}: no lane covers any ground; expected shapes with a length: build it again")
+        raise TownError(
+            f"{town.net}: no lane covers any ground; expected shapes with a length: build it again"
+        )
     at("ground and kerbs")
-    kerbing = make_kerbing(surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m, kerb_marks(items))
+    kerbing = make_kerbing(
+        surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m, kerb_marks(items)
+    )
     ground = build_ground(surfaces, kerbing, relief)
     walls = kerb_walls(ground)
     placed = author_things(items, surfaces.hull)
     at("walkways and objects")
     walkable = shapely.union_all([surfaces.pavement, surfaces.crossing])
-    buildings, overhead = make_buildings(items, shapely.union_all([streets.low, streets.pavement]), surfaces.hull)
+    buildings, overhead = make_buildings(
+        items, shapely.union_all([streets.low, streets.pavement]), surfaces.hull
+    )
     blocks = shapely.union_all([building.outline for building in buildings])
     solids = shapely.union_all([blocks, *(thing.footprint for thing in placed)])
     space, phases = free_space(walkable, _kerb_lines(walls[0]), solids), all_phases(net, additional)
-    barred = [item.points_W_m for item in items if item.group == "chair_way" and len(item.points_W_m) > 1]
+    barred = [
+        item.points_W_m for item in items if item.group == "chair_way" and len(item.points_W_m) > 1
+    ]
     walk = build_walk_graph(net, space, town.file.chair_ways, phases, barred)
     lines = shapely.MultiLineString([edge.points_W_m for edge in walk.edges])
     low = buffered(surfaces.low, 0.1)
     place = FreeGround(low=low, solids=blocks.buffer(0.05), lines=lines, hull=surfaces.hull)
     things = place_furniture(items, net, additional, place, placed)
     pieces, heads = set_on_ground(things, _height_at(surfaces, kerbing, relief))
-    large = [_block(building, town.file.kerb_height_m, relief) for building in (*buildings, *overhead)]
+    large = [
+        _block(building, town.file.kerb_height_m, relief) for building in (*buildings, *overhead)
+    ]
     paint = lane_marks(net, surfaces, town.file.chair_ways, relief)
     mesh = replace(build_mesh(ground, walls, large, pieces, relief), paint=paint)
-    taken = [thing.footprint for thing in things if not thing.footprint.is_empty]  # what hangs over it takes none
+    # What hangs over it takes none.
+    taken = [thing.footprint for thing in things if not thing.footprint.is_empty]
     grid = GridMaker(ground, walls[0], [*(b.outline for b in buildings), *taken], relief)
     at("tiles")
-    return pack_street(pack_tiles(mesh, grid), walk, relief, heads, (*town.file.origin_m, net.z_origin_m))
+    return pack_street(
+        pack_tiles(mesh, grid), walk, relief, heads, (*town.file.origin_m, net.z_origin_m)
+    )
 
 
 def _block(building: Building, ground_m: float, relief: Relief) -> Solid:

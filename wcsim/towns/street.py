@@ -40,8 +40,10 @@ def load_street(town: Town, say: Callable[[str], object] | None = None) -> Stree
 
     Args:
         town: The town.
-        say: Called every few seconds while a street is built, from a thread of its own, with a line: which part, and
-            for how long already. By default a warning is logged: Python shows those on standard error where no
+        say: Called every few seconds while a street is built, from a thread of its own, with a
+            line: which part, and
+            for how long already. By default a warning is logged: Python shows those on standard
+            error where no
             logging was set up, as by the user of an environment.
 
     Raises:
@@ -49,7 +51,8 @@ def load_street(town: Town, say: Callable[[str], object] | None = None) -> Stree
     """
 
     def built() -> Packed:
-        from wcsim.towns.build_street import build_street  # heavy, and not needed where the street is there
+        # Heavy, and not needed where the street is there.
+        from wcsim.towns.build_street import build_street
 
         with _progress(town, say or log.warning) as at:
             return build_street(town, at)
@@ -67,7 +70,9 @@ def _progress(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[st
         more = once
         while not over.wait(_EVERY_S):
             with suppress(OSError):  # who listened is gone
-                say(f"street of {town.name}{more}: {parts[-1]}, after {time.monotonic() - began_s:.0f} s")
+                say(
+                    f"street of {town.name}{more}: {parts[-1]}, after {time.monotonic() - began_s:.0f} s"
+                )
             more = ""
 
     reporter = Thread(target=report, daemon=True)
@@ -80,7 +85,10 @@ def _progress(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[st
 
 
 def _street_key(town: Town) -> str:
-    """Name of a town's state: its SUMO files, what town.toml says of its ground, and what makes a street of it."""
+    """Name of a town's state.
+
+    Its SUMO files, what town.toml says of its ground, and what makes a street of it.
+    """
     file = town.file
     ground = f"{file.origin_m} {file.kerb_height_m} {file.lowered_kerb_m} {file.chair_ways}"
     still = content_hash(replace(town, routes=()))  # traffic leaves the street as it is

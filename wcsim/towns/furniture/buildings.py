@@ -46,7 +46,9 @@ class _Body:
 def make_buildings(
     items: list[Item], street: BaseGeometry, hull: BaseGeometry
 ) -> tuple[list[Building], list[Building]]:
-    """Buildings that stand beside the street, and those that hang over it: skywalks, and houses over a passage.
+    """Buildings that stand beside the street, and those that hang over it.
+
+    Skywalks, and houses over a passage.
 
     What stands on the street (arcades, passages) or outside the town is cut off.
     """
@@ -57,7 +59,9 @@ def make_buildings(
     overhead: list[Building] = []
     for body in _apart(solid):
         near = patches.near(_around(body.area, 1.0))
-        cleared = _cleared(body.area.difference(buffered(near, GAP_M, join_style="mitre", mitre_limit=2.0)))
+        cleared = _cleared(
+            body.area.difference(buffered(near, GAP_M, join_style="mitre", mitre_limit=2.0))
+        )
         parts = [part for part in cleared if not part.intersects(near)]
         standing += [Building(outline=part, height_m=body.height_m) for part in parts]
         overhead += _over_passages(body, near)
@@ -72,7 +76,13 @@ def _outlines(items: list[Item], hull: BaseGeometry) -> tuple[list[_Body], list[
     bodies: list[_Body] = []
     courtyards: list[BaseGeometry] = []
     for item in items:
-        if item.kind != "building" or item.author or not item.filled or len(item.points_W_m) < 4 or _hidden(item):
+        if (
+            item.kind != "building"
+            or item.author
+            or not item.filled
+            or len(item.points_W_m) < 4
+            or _hidden(item)
+        ):
             continue
         area = _areas(shapely.make_valid(Polygon(item.points_W_m)))
         if not hull.contains(area):
@@ -84,8 +94,18 @@ def _outlines(items: list[Item], hull: BaseGeometry) -> tuple[list[_Body], list[
         else:
             bridge = item.detail == "bridge"
             begins_m = max(rise_m(item.tags), PASSAGE_M if bridge else 0.0)
-            height_m = max(_height_m(item, area.area), begins_m + (STOREY_M if begins_m > 0.0 else 0.0))
-            bodies.append(_Body(area=area, item=item, rise_m=begins_m, height_m=height_m, part=item.detail == "part"))
+            height_m = max(
+                _height_m(item, area.area), begins_m + (STOREY_M if begins_m > 0.0 else 0.0)
+            )
+            bodies.append(
+                _Body(
+                    area=area,
+                    item=item,
+                    rise_m=begins_m,
+                    height_m=height_m,
+                    part=item.detail == "part",
+                )
+            )
     return sorted(bodies, key=lambda body: -body.area.area), courtyards
 
 
@@ -111,9 +131,14 @@ def _hollowed(bodies: list[_Body], courtyards: list[BaseGeometry]) -> list[_Body
         yards = [
             yard
             for yard in inside
-            if yard.area < 0.98 * body.area.area and yard.intersection(body.area).area > 0.9 * yard.area
+            if yard.area < 0.98 * body.area.area
+            and yard.intersection(body.area).area > 0.9 * yard.area
         ]
-        found.append(replace(body, area=_areas(body.area.difference(shapely.union_all(yards)))) if yards else body)
+        found.append(
+            replace(body, area=_areas(body.area.difference(shapely.union_all(yards))))
+            if yards
+            else body
+        )
     return found
 
 
@@ -125,7 +150,9 @@ def _composed(bodies: list[_Body]) -> tuple[list[_Body], list[_Body]]:
     bases: list[_Body] = []
     for whole in wholes:
         near = [parts[i] for i in sorted(tree.query(whole.area).tolist())]
-        mine = [part for part in near if part.area.intersection(whole.area).area > 0.5 * part.area.area]
+        mine = [
+            part for part in near if part.area.intersection(whole.area).area > 0.5 * part.area.area
+        ]
         bases.append(_base(whole, mine) if mine else whole)
     every = [*parts, *bases]
     standing = [body for body in every if body.rise_m <= _STANDS_M and not body.area.is_empty]
@@ -133,7 +160,10 @@ def _composed(bodies: list[_Body]) -> tuple[list[_Body], list[_Body]]:
 
 
 def _base(whole: _Body, parts: list[_Body]) -> _Body:
-    """What of a building its parts leave: nothing where they are all of it, so that people pass below raised ones."""
+    """What of a building its parts leave.
+
+    Nothing where they are all of it, so that people pass below raised ones.
+    """
     grounded = shapely.union_all([part.area for part in parts if part.rise_m <= _STANDS_M])
     raised = shapely.union_all([part.area for part in parts if part.rise_m > _STANDS_M])
     left = _areas(whole.area.difference(grounded))
@@ -142,9 +172,13 @@ def _base(whole: _Body, parts: list[_Body]) -> _Body:
     if modelled and open_below <= _OPEN_BELOW * whole.area.area:
         return replace(whole, area=_areas(left.difference(raised)))
     over_m = [
-        part.rise_m for part in parts if part.rise_m > _STANDS_M and part.area.intersection(left).area > _SMALLEST_M2
+        part.rise_m
+        for part in parts
+        if part.rise_m > _STANDS_M and part.area.intersection(left).area > _SMALLEST_M2
     ]
-    return replace(whole, area=left, height_m=min([whole.height_m, *(max(rise, STOREY_M) for rise in over_m)]))
+    return replace(
+        whole, area=left, height_m=min([whole.height_m, *(max(rise, STOREY_M) for rise in over_m)])
+    )
 
 
 def _supported(standing: list[_Body], raised: list[_Body]) -> list[_Body]:
@@ -155,7 +189,10 @@ def _supported(standing: list[_Body], raised: list[_Body]) -> list[_Body]:
     found: list[_Body] = []
     for place, body in enumerate(upwards, start=len(standing)):
         under = [below[i] for i in sorted(tree.query(body.area).tolist()) if i < place]
-        shares = [(other.area.intersection(body.area).area / body.area.area, other.height_m) for other in under]
+        shares = [
+            (other.area.intersection(body.area).area / body.area.area, other.height_m)
+            for other in under
+        ]
         if sum(share for share, _ in shares) > _HELD:
             lowest_m = min(height_m for share, height_m in shares if share > 0.1 * _HELD)
             body = replace(body, rise_m=min(body.rise_m, max(lowest_m, _STANDS_M)))
@@ -177,7 +214,10 @@ def _apart(bodies: list[_Body]) -> list[_Body]:
 def _raised(body: _Body, street: BaseGeometry) -> list[Building]:
     """What begins on an upper floor, higher up where it reaches over the street."""
     above = _widened(street)
-    halves = ((body.area.difference(above), body.rise_m), (body.area.intersection(above), max(body.rise_m, PASSAGE_M)))
+    halves = (
+        (body.area.difference(above), body.rise_m),
+        (body.area.intersection(above), max(body.rise_m, PASSAGE_M)),
+    )
     return [
         Building(outline=part, height_m=body.height_m, low_m=low_m)
         for area, low_m in halves
@@ -192,7 +232,10 @@ def _widened(street: BaseGeometry) -> BaseGeometry:
 
 
 def _over_passages(body: _Body, street: BaseGeometry) -> list[Building]:
-    """The upper floors where a street runs through a building; a street along its front cuts off an edge only."""
+    """The upper floors where a street runs through a building.
+
+    A street along its front cuts off an edge only.
+    """
     if body.height_m < PASSAGE_M + 1.0:
         return []
     found: list[Building] = []
@@ -207,7 +250,9 @@ def _cleared(area: BaseGeometry) -> list[Polygon]:
     """The polygons of an area without crumbs and thin strips, on a centimetre grid."""
     if area.is_empty:
         return []
-    opened = shapely.set_precision(valid(area.buffer(-0.15).buffer(0.15, join_style="mitre").simplify(0.1)), 0.01)
+    opened = shapely.set_precision(
+        valid(area.buffer(-0.15).buffer(0.15, join_style="mitre").simplify(0.1)), 0.01
+    )
     return [part for part in polygons_of(opened) if part.is_valid and part.area >= _SMALLEST_M2]
 
 

@@ -1,8 +1,8 @@
 """Everything that stands in a street beside its buildings, in the order in which it takes its place.
 
-Stops of buses and trams have a pole with a sign, and a shelter where the pavement has room for one. Street furniture
-from maps is kept clear of road and walking lines. What an author placed in an additional file (types wcsim.*) stands
-exactly there, whatever is below or around.
+Stops of buses and trams have a pole with a sign, and a shelter where the pavement has room for one.
+Street furniture from maps is kept clear of road and walking lines. What an author placed in an
+additional file (types wcsim.*) stands exactly there, whatever is below or around.
 """
 
 import logging
@@ -21,7 +21,15 @@ from wcsim.towns.furniture.models import FOOT_M, LOOKS
 from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, stood
 from wcsim.towns.furniture.traffic_lights import sign_things, signal_things
 from wcsim.towns.ground import solid_shapes
-from wcsim.towns.ground.plane_geometry import Patches, distinct, left_of, polygons_of, unit, valid, yaw_of
+from wcsim.towns.ground.plane_geometry import (
+    Patches,
+    distinct,
+    left_of,
+    polygons_of,
+    unit,
+    valid,
+    yaw_of,
+)
 from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.osm.tags import metres, off_ground
 from wcsim.towns.sumo.additional import AUTHOR_PREFIX, Item
@@ -39,13 +47,26 @@ _AUTHOR_LONGEST_M = 4.0  # an outline that follows a hill has a corner at least 
 
 
 def author_things(items: list[Item], hull: BaseGeometry) -> list[StandingObject]:
-    """Everything of a type wcsim.* that touches the town's ground. Raises TownError for a size that is none."""
+    """Everything of a type wcsim.* that touches the town's ground.
+
+    Raises TownError for a size that is none.
+    """
     found: list[StandingObject] = []
     for item in items:
-        things = [thing for thing in _things(item) if thing.footprint.intersects(hull)] if item.author else []
+        things = (
+            [thing for thing in _things(item) if thing.footprint.intersects(hull)]
+            if item.author
+            else []
+        )
         found += things
         if item.author and not things:
-            log.warning("%s: %r (%s%s) lies outside the town", item.source, item.id, AUTHOR_PREFIX, item.kind)
+            log.warning(
+                "%s: %r (%s%s) lies outside the town",
+                item.source,
+                item.id,
+                AUTHOR_PREFIX,
+                item.kind,
+            )
     return found
 
 
@@ -56,7 +77,12 @@ def _things(item: Item) -> list[StandingObject]:
     if len(points_m) == 1:
         size = (length_m or usual[0], width_m or usual[1], height_m or usual[2])
         return [
-            stood(item.kind, points_m[0], yaw_from_sumo(_number(item, "angle") or 0.0), size if size != usual else None)
+            stood(
+                item.kind,
+                points_m[0],
+                yaw_from_sumo(_number(item, "angle") or 0.0),
+                size if size != usual else None,
+            )
         ]
     outline = _outline(item, points_m, width_m or usual[1])
     make = _fenced if item.kind == "roadworks" else _filled
@@ -73,7 +99,14 @@ def _outline(item: Item, points_m: F64, width_m: float) -> BaseGeometry:
 
 def _filled(kind: str, area: Polygon, height_m: float) -> StandingObject:
     class_id = _CLASS_OF_AREA.get(kind, ClassId.STATIC)
-    return _thing(area, [solid_shapes.prism(shapely.segmentize(area, _AUTHOR_LONGEST_M), FOOT_M, height_m, class_id)])
+    return _thing(
+        area,
+        [
+            solid_shapes.prism(
+                shapely.segmentize(area, _AUTHOR_LONGEST_M), FOOT_M, height_m, class_id
+            )
+        ],
+    )
 
 
 def _fenced(kind: str, area: Polygon, height_m: float) -> StandingObject:
@@ -103,7 +136,11 @@ def _thing(area: Polygon, pieces: list[Solid] | Solid) -> StandingObject:
 def _stations(area: BaseGeometry) -> list[F64]:
     """Points along the outlines of an area, at corners and between them."""
     rings = [ring for part in polygons_of(area) for ring in (part.exterior, *part.interiors)]
-    return [xy for ring in rings for xy in shapely.get_coordinates(shapely.segmentize(ring, _AUTHOR_POST_STEP_M))[:-1]]
+    return [
+        xy
+        for ring in rings
+        for xy in shapely.get_coordinates(shapely.segmentize(ring, _AUTHOR_POST_STEP_M))[:-1]
+    ]
 
 
 def _corners(area: BaseGeometry) -> list[F64]:
@@ -133,7 +170,9 @@ def _number(item: Item, key: str) -> float | None:
 
 def _error(item: Item, key: str, expected: str) -> TownError:
     what = f"{item.source}: {key} of {item.id!r} ({AUTHOR_PREFIX}{item.kind})"
-    return TownError(f"{what} is {item.tags[key].strip()!r}; expected {expected}: correct the <param>")
+    return TownError(
+        f"{what} is {item.tags[key].strip()!r}; expected {expected}: correct the <param>"
+    )
 
 
 SHIFTS_M = (0.0, 0.4, 0.8, 1.2, 1.6)  # how far a thing may be moved to give way
@@ -144,11 +183,16 @@ _FLAT_GROUPS = ("landuse", "waterway", "boundary", "kerb", "building", "stop")
 _DATA = read_module_toml(__file__)
 _COMPASS: list[str] = _DATA["compass"].split()
 _LOOK_BY_TAG: dict[str, tuple[str, dict[str, str]]] = _DATA["by_tag"]
-_CLASS_OF_AREA = {kind: ClassId[name] for name, kinds in _DATA["areas"].items() for kind in kinds.split()}
+_CLASS_OF_AREA = {
+    kind: ClassId[name] for name, kinds in _DATA["areas"].items() for kind in kinds.split()
+}
 
 
 def _place_mapped(items: list[Item], place: FreeGround) -> list[StandingObject]:
-    """All mapped furniture that finds a place beside what is standing already; what an author placed is left out."""
+    """All mapped furniture that finds a place beside what is standing already.
+
+    What an author placed is left out.
+    """
     site = _Site(place)
     found: list[StandingObject] = []
     for item in items:
@@ -192,7 +236,11 @@ def _made(item: Item, site: _Site) -> list[StandingObject]:
     kind = _pick_look(item)
     if not kind or (len(item.points_W_m) > 1 and not item.filled):
         return []
-    middle = item.points_W_m[:-1].mean(axis=0) if len(item.points_W_m) > 3 else item.points_W_m.mean(axis=0)
+    middle = (
+        item.points_W_m[:-1].mean(axis=0)
+        if len(item.points_W_m) > 3
+        else item.points_W_m.mean(axis=0)
+    )
     return _stood(item, kind, middle, site)
 
 
@@ -216,7 +264,10 @@ def _stood(item: Item, kind: str, middle: F64, site: _Site) -> list[StandingObje
 
 
 def _mapped_direction(tags: dict[str, str]) -> float | None:
-    """The yaw that a thing faces by its tag `direction`: degrees from north, or a point of the compass."""
+    """The yaw that a thing faces by its tag `direction`.
+
+    Degrees from north, or a point of the compass.
+    """
     text = tags.get("direction", "").strip().upper()
     if text in _COMPASS:
         return yaw_from_sumo(_COMPASS.index(text) * 360.0 / len(_COMPASS))
@@ -230,7 +281,9 @@ def _along(lines: BaseGeometry, step_m: float) -> F64:
     for line in shapely.get_parts(lines):
         if line.geom_type == "LineString" and line.length > 0.0:
             count = max(1, round(line.length / step_m))
-            stations = shapely.line_interpolate_point(line, np.linspace(0.0, 1.0, count + 1), normalized=True)
+            stations = shapely.line_interpolate_point(
+                line, np.linspace(0.0, 1.0, count + 1), normalized=True
+            )
             places.append(shapely.get_coordinates(stations))
     return np.concatenate(places)
 
@@ -253,7 +306,10 @@ def _barriers(item: Item, site: _Site) -> list[StandingObject]:
     lines, low, solid = (patches.near(near) for patches in site.near)
     blocked = shapely.union_all([lines.buffer(CLEAR_M + thick_m, quad_segs=2), low, solid])
     return [
-        _thing(part, [solid_shapes.prism(shapely.segmentize(part, LONGEST_M), FOOT_M, height_m, class_id)])
+        _thing(
+            part,
+            [solid_shapes.prism(shapely.segmentize(part, LONGEST_M), FOOT_M, height_m, class_id)],
+        )
         for part in _solid_parts(band.difference(blocked))
     ]
 
@@ -267,9 +323,14 @@ def _solid_parts(area: BaseGeometry) -> list[Polygon]:
 LOOK_OF = {kind: look for look, kinds in _DATA["looks"].items() for kind in kinds.split()}
 """Looks of mapped points by the second word of their type; "" for what stands nowhere."""
 
-_ROW_STEPS_M = {"tree_row": ("tree", TREE_STEP_M), "bollard": ("bollard", POST_STEP_M), "chain": ("bollard", 2.0)}
+_ROW_STEPS_M = {
+    "tree_row": ("tree", TREE_STEP_M),
+    "bollard": ("bollard", POST_STEP_M),
+    "chain": ("bollard", 2.0),
+}
 _LINE_SPECS: dict[str, tuple[float, float, int]] = {  # height and thickness in metres, class
-    kind: (high_m, thick_m, ClassId[name]) for kind, (high_m, thick_m, name) in _DATA["lines"].items()
+    kind: (high_m, thick_m, ClassId[name])
+    for kind, (high_m, thick_m, name) in _DATA["lines"].items()
 }
 
 
@@ -316,11 +377,15 @@ def _mapped(item: Item, place: FreeGround) -> list[StandingObject]:
     aside = -towards / distance_m if distance_m > 1e-6 else np.array([0.0, -1.0])
     along = left_of(aside)
     kinds = ("shelter", "stop_pole") if item.tags.get("shelter") == "yes" else ("stop_pole",)
-    found = (place.put(kind, _outward(middle, along, aside, 0.0, 3.0), yaw_of(-aside)) for kind in kinds)
+    found = (
+        place.put(kind, _outward(middle, along, aside, 0.0, 3.0), yaw_of(-aside)) for kind in kinds
+    )
     return next(filter(None, found), [])
 
 
-def _outward(start_m: F64, along: F64, aside: F64, least_m: float = 0.5, most_m: float = FARTHEST_M) -> Iterator[F64]:
+def _outward(
+    start_m: F64, along: F64, aside: F64, least_m: float = 0.5, most_m: float = FARTHEST_M
+) -> Iterator[F64]:
     """Places beside a point, the nearest to the road first."""
     for aside_m in np.arange(least_m, most_m, STEP_M):
         for along_m in ALONG_M:
@@ -328,7 +393,11 @@ def _outward(start_m: F64, along: F64, aside: F64, least_m: float = 0.5, most_m:
 
 
 def place_furniture(
-    items: list[Item], net: Net, additional: tuple[Path, ...], place: FreeGround, placed: list[StandingObject]
+    items: list[Item],
+    net: Net,
+    additional: tuple[Path, ...],
+    place: FreeGround,
+    placed: list[StandingObject],
 ) -> list[StandingObject]:
     """What the author placed, then signals, stops, signs and mapped furniture where these leave room."""
     place.take(placed)

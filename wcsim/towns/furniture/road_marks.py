@@ -1,9 +1,13 @@
-"""Lines and coloured cycle lanes on the road, from SUMO's lanes: thin paint for pictures, without class or body.
+"""Lines and coloured cycle lanes on the road, from SUMO's lanes.
 
-Widths and lengths follow the usual urban ones: lines of 0.12 m, dashes of 3 m with 6 m between them.
+Thin paint for pictures, without class or body.
 
-Crossings without paint are those that a map calls unmarked, and those that netconvert guessed where the map has none.
-They stay crossings for SUMO, and their kerbs are lowered; on the ground they look like the road.
+Widths and lengths follow the usual urban ones: lines of 0.12 m, dashes of 3 m with 6 m between
+them.
+
+Crossings without paint are those that a map calls unmarked, and those that netconvert guessed where
+the map has none. They stay crossings for SUMO, and their kerbs are lowered; on the ground they look
+like the road.
 """
 
 from collections import defaultdict
@@ -37,19 +41,28 @@ GROUP, KIND = "crossing", "unmarked"  # of the points that say so in a town's fi
 _ON_M = 1.0
 
 
-def lane_marks(net: Net, surfaces: Surfaces, chair_ways: tuple[str, ...], relief: Relief) -> GroundPaint:
+def lane_marks(
+    net: Net, surfaces: Surfaces, chair_ways: tuple[str, ...], relief: Relief
+) -> GroundPaint:
     """The marks of all streets of a net; none on crossings and in junctions."""
     return _Painter(net, surfaces, chair_ways, relief).paint()
 
 
 class _Painter:
-    def __init__(self, net: Net, surfaces: Surfaces, chair_ways: tuple[str, ...], relief: Relief) -> None:
+    def __init__(
+        self, net: Net, surfaces: Surfaces, chair_ways: tuple[str, ...], relief: Relief
+    ) -> None:
         self._net, self._relief = net, relief
-        self._inward = -1.0 if net.lefthand else 1.0  # lanes are numbered from the kerb to the middle of the street
+        # Lanes are numbered from the kerb to the middle of the street.
+        self._inward = -1.0 if net.lefthand else 1.0
         self._raised = {lane.id for lane in walkable_lanes(net, chair_ways)}
-        junctions = [shapely.Polygon(j.outline_m).buffer(0.0) for j in net.junctions if len(j.outline_m) > 2]
+        junctions = [
+            shapely.Polygon(j.outline_m).buffer(0.0) for j in net.junctions if len(j.outline_m) > 2
+        ]
         self._road = Patches(surfaces.low)
-        self._taken = Patches(shapely.union_all([surfaces.crossing, *junctions]).buffer(_CLEAR_M, quad_segs=1))
+        self._taken = Patches(
+            shapely.union_all([surfaces.crossing, *junctions]).buffer(_CLEAR_M, quad_segs=1)
+        )
         self._quads: dict[Mark, list[F64]] = {mark: [] for mark in Mark}
 
     def paint(self) -> GroundPaint:
@@ -58,11 +71,18 @@ class _Painter:
             self._lanes(edge)
         self._middles([edge for edge in streets if edge.lanes[0].speed_mps > _SLOW_MPS])
         self._stops(streets)
-        quads = {mark: np.concatenate([np.zeros((0, 4, 2)), *found]) for mark, found in self._quads.items()}
+        quads = {
+            mark: np.concatenate([np.zeros((0, 4, 2)), *found])
+            for mark, found in self._quads.items()
+        }
         hill_m = 0.0 if self._relief.flat else _HILL_LIFT_M
-        lifted = [np.dstack([q, self._relief.at(q) + _LIFT_M[mark] + hill_m]) for mark, q in quads.items()]
+        lifted = [
+            np.dstack([q, self._relief.at(q) + _LIFT_M[mark] + hill_m]) for mark, q in quads.items()
+        ]
         marks = np.repeat([int(mark) for mark in quads], [len(found) for found in quads.values()])
-        return GroundPaint(quads_W_m=np.concatenate(lifted).astype(np.float32), mark=marks.astype(np.uint8))
+        return GroundPaint(
+            quads_W_m=np.concatenate(lifted).astype(np.float32), mark=marks.astype(np.uint8)
+        )
 
     def _lanes(self, edge: Edge) -> None:
         """Cycle lanes, and what parts the lanes of an edge."""
@@ -73,7 +93,11 @@ class _Painter:
                     self._add(Mark.CYCLE_LANE, line, lane.width_m)
         for outer, inner in pairwise(low):
             kinds = {outer.kind, inner.kind}
-            if inner.index != outer.index + 1 or LaneKind.MOTOR not in kinds or outer.speed_mps <= _SLOW_MPS:
+            if (
+                inner.index != outer.index + 1
+                or LaneKind.MOTOR not in kinds
+                or outer.speed_mps <= _SLOW_MPS
+            ):
                 continue
             for line in self._free(self._inner_border(outer)):
                 if LaneKind.BIKE in kinds:
@@ -91,7 +115,10 @@ class _Painter:
             for other in between[edge.end, edge.start] if edge.start < edge.end else ():
                 wide = _road_width_m(edge) + _road_width_m(other) >= _NARROW_M
                 if wide and edge.lanes[-1].kind is other.lanes[-1].kind is LaneKind.MOTOR:
-                    mine, theirs = self._inner_border(edge.lanes[-1]), self._inner_border(other.lanes[-1])
+                    mine, theirs = (
+                        self._inner_border(edge.lanes[-1]),
+                        self._inner_border(other.lanes[-1]),
+                    )
                     for line in self._free(mine.intersection(theirs.buffer(_SAME_M))):
                         self._add(Mark.LINE, line, _LINE_M)
 
@@ -113,7 +140,11 @@ class _Painter:
 
     def _stop(self, lane: Lane) -> None:
         lines = self._free(LineString(lane.points_m)) if lane.is_line else []
-        if not lines or lines[-1].length < _SHORT_M or lines[-1].distance(shapely.Point(lane.points_m[-1])) > _SHORT_M:
+        if (
+            not lines
+            or lines[-1].length < _SHORT_M
+            or lines[-1].distance(shapely.Point(lane.points_m[-1])) > _SHORT_M
+        ):
             return
         middle_m = lines[-1].length - _BEFORE_M
         along = substring(lines[-1], middle_m - 0.5 * _STOP_M, middle_m + 0.5 * _STOP_M)
@@ -124,10 +155,15 @@ class _Painter:
         return LineString(lane.points_m).offset_curve(aside_m, join_style="mitre", mitre_limit=2.0)
 
     def _free(self, line: BaseGeometry) -> list[LineString]:
-        """What of a line lies on the road, and neither in a junction nor on a crossing; in its direction."""
+        """What of a line lies on the road, and neither in a junction nor on a crossing.
+
+        In its direction.
+        """
         bounds = line.buffer(1.0).bounds
         free = line.intersection(self._road.near(bounds)).difference(self._taken.near(bounds))
-        parts = shapely.get_parts(shapely.line_merge(free) if free.geom_type == "MultiLineString" else free)
+        parts = shapely.get_parts(
+            shapely.line_merge(free) if free.geom_type == "MultiLineString" else free
+        )
         return [part for part in parts if part.geom_type == "LineString" and part.length > _STOP_M]
 
     def _add(self, mark: Mark, line: LineString, width_m: float) -> None:
@@ -153,7 +189,10 @@ def unmarked_crossings(items: Iterable[Item], net: Net) -> frozenset[str]:
     lanes, tree = crossing_lines(net)
     if not points or not lanes:
         return frozenset()
-    found = (tree.query_nearest(shapely.Point(at_m), max_distance=_ON_M, all_matches=False) for at_m in points)
+    found = (
+        tree.query_nearest(shapely.Point(at_m), max_distance=_ON_M, all_matches=False)
+        for at_m in points
+    )
     return frozenset(lanes[index].edge_id for near in found for index in near.tolist())
 
 

@@ -29,17 +29,22 @@ APART_M = 0.4  # between two posts
 _SIDE_BY_SIDE_M = 0.36
 _ARM_M = 0.12  # thickness of an arm that reaches over the road
 _ARM_REACH_M = (2.0, 3.0, 4.0, 5.5, 7.0, 9.0, 11.0, 14.0, 18.0, 23.0, 30.0)
-_PASSING_M = 0.45  # from the line that people walk on to the post of an arm, where there is no better place
+# From the line that people walk on to the post of an arm, where there is no better place.
+_PASSING_M = 0.45
 _ARM_TURNS = 24  # directions in which its post is looked for
 _BACK_M = (0.5, 1.5, 3.0, 5.0)  # how far before the stop line a post may stand
 ASIDE_M = tuple(np.arange(0.3, 8.0, 0.35))  # how far beside the lane
 BEYOND_M = (0.4, 0.8, 1.3, 2.0)  # how far beyond the end of a crossing
-BESIDE_M = (0.3, -0.3, 0.7, -0.7, 1.2, -1.2, 1.8, -1.8)  # how far to the right of its edge, or to the left
+# How far to the right of its edge, or to the left.
+BESIDE_M = (0.3, -0.3, 0.7, -0.7, 1.2, -1.2, 1.8, -1.8)
 AT_ONCE = 8  # places that are looked at together
 _SIGN_REACH_M = 20.0
 
 _Groups = list[tuple[str, int]]
-"""Heads of an approach: traffic light and the number of a link of it, from the kerb towards the middle of the road."""
+"""Heads of an approach.
+
+Traffic light and the number of a link of it, from the kerb towards the middle of the road.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +58,9 @@ class _Approach:
     half_m: float  # half of that lane's width
 
 
-def signal_things(net: Net, additional: tuple[Path, ...], place: FreeGround) -> list[StandingObject]:
+def signal_things(
+    net: Net, additional: tuple[Path, ...], place: FreeGround
+) -> list[StandingObject]:
     """A post with heads at the kerb of each approach that a signal controls, and at both ends of such crossings."""
     found: list[StandingObject] = []
     # The states of all phases of each light: links with the same letter in all of them share a head.
@@ -67,8 +74,13 @@ def signal_things(net: Net, additional: tuple[Path, ...], place: FreeGround) -> 
 
 
 def sign_things(items: list[Item], net: Net, place: FreeGround) -> list[StandingObject]:
-    """Stop and give-way signs that a map has on the road: they stand at the kerb of the approach they are meant for."""
-    wanted = [item for item in items if item.kind in ("stop", "give_way") and item.group == "highway"]
+    """Stop and give-way signs that a map has on the road.
+
+    They stand at the kerb of the approach they are meant for.
+    """
+    wanted = [
+        item for item in items if item.kind in ("stop", "give_way") and item.group == "highway"
+    ]
     approaches = _find_approaches(net) if wanted else []
     if not approaches:
         return []
@@ -120,7 +132,9 @@ def _more_phases(files: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
             yield from read_phases(parse_root(data, str(path)))
 
 
-def _vehicle_signals(net: Net, columns: dict[str, list[str]], place: FreeGround) -> Iterator[StandingObject]:
+def _vehicle_signals(
+    net: Net, columns: dict[str, list[str]], place: FreeGround
+) -> Iterator[StandingObject]:
     links: dict[str, list[Connection]] = defaultdict(list)
     for link in net.connections:
         if link.tls_id and link.tls_link >= 0:
@@ -136,7 +150,9 @@ def _groups(links: list[Connection], columns: dict[str, list[str]]) -> _Groups:
     found: dict[tuple[str, str], tuple[str, int]] = {}
     for link in sorted(links, key=lambda link: (link.start_lane, link.tls_link)):
         states = columns.get(link.tls_id, [])
-        column = "".join(state[link.tls_link] if link.tls_link < len(state) else "-" for state in states)
+        column = "".join(
+            state[link.tls_link] if link.tls_link < len(state) else "-" for state in states
+        )
         found.setdefault((link.tls_id, column or str(link.tls_link)), (link.tls_id, link.tls_link))
     return list(found.values())
 
@@ -145,11 +161,16 @@ def _at_kerb(approach: _Approach, groups: _Groups, place: FreeGround) -> Standin
     """A post beside the stop line where there is room for one, else heads on an arm that reaches over the road."""
     xy_m = _first_free(_beside(approach), place)
     if xy_m is not None:
-        post = solid_shapes.post(xy_m, _POST_M, FOOT_M, HEAD_LOW_M + 0.5 * _HEAD_LWH_M[2], ClassId.POLE, sides=5)
+        post = solid_shapes.post(
+            xy_m, _POST_M, FOOT_M, HEAD_LOW_M + 0.5 * _HEAD_LWH_M[2], ClassId.POLE, sides=5
+        )
         front = xy_m - (_POST_M + _HEAD_LWH_M[1] / 2) * approach.ahead
         pieces, heads = _heads(front, approach.ahead, approach.aside, groups, HEAD_LOW_M)
         return StandingObject(
-            piece=solid_shapes.joined([post, *pieces]), footprint=_disc(xy_m), base_m=xy_m, heads=heads
+            piece=solid_shapes.joined([post, *pieces]),
+            footprint=_disc(xy_m),
+            base_m=xy_m,
+            heads=heads,
         )
     over = approach.stop_m + 0.5 * approach.ahead
     pieces, heads = _heads(over, approach.ahead, -approach.aside, groups, _HANGING_LOW_M)
@@ -162,11 +183,16 @@ def _at_kerb(approach: _Approach, groups: _Groups, place: FreeGround) -> Standin
         top_m = _HANGING_LOW_M + _HEAD_LWH_M[2] + _ARM_M
         pieces.append(solid_shapes.post(foot_m, _POST_M, FOOT_M, top_m, ClassId.POLE, sides=5))
         base_m, footprint = foot_m, _disc(foot_m)
-    return StandingObject(piece=solid_shapes.joined(pieces), footprint=footprint, base_m=base_m, heads=heads)
+    return StandingObject(
+        piece=solid_shapes.joined(pieces), footprint=footprint, base_m=base_m, heads=heads
+    )
 
 
 def _foot_of_arm(over_m: F64, place: FreeGround) -> F64 | None:
-    """Where the post of an arm stands: the nearest free place, else the nearest that people can pass, if any."""
+    """Where the post of an arm stands.
+
+    The nearest free place, else the nearest that people can pass, if any.
+    """
     turns = np.linspace(0.0, 2.0 * np.pi, _ARM_TURNS, endpoint=False)
     reach_m = np.repeat(np.array(_ARM_REACH_M), _ARM_TURNS)[:, None]
     ring = np.column_stack([np.cos(turns), np.sin(turns)])
@@ -182,7 +208,10 @@ def _foot_of_arm(over_m: F64, place: FreeGround) -> F64 | None:
 
 
 def _wall(over_m: F64, place: FreeGround) -> F64 | None:
-    """The nearest place of a building, from which a light can hang; None where there is none near."""
+    """The nearest place of a building, from which a light can hang.
+
+    None where there is none near.
+    """
     nearest = shapely.get_coordinates(shapely.shortest_line(shapely.Point(over_m), place.solids))
     near = len(nearest) > 0 and float(np.hypot(*(nearest[-1] - over_m))) <= _ARM_REACH_M[-1]
     return np.asarray(nearest[-1]) if near else None
@@ -193,13 +222,17 @@ def _arm(start_m: F64, end_m: F64) -> Solid:
     along = end_m - start_m
     size_m = (float(np.hypot(*along)) + _ARM_M, _ARM_M, _ARM_M)
     top_m = _HANGING_LOW_M + _HEAD_LWH_M[2]
-    return solid_shapes.box(0.5 * (start_m + end_m), size_m, top_m, yaw_of(along), ClassId.POLE, floor=True)
+    return solid_shapes.box(
+        0.5 * (start_m + end_m), size_m, top_m, yaw_of(along), ClassId.POLE, floor=True
+    )
 
 
 def _beside(approach: _Approach) -> F64:
     """Places (n, 2) for a post at the kerb, best first."""
     back_m, aside_m = (grid.reshape(-1, 1) for grid in np.meshgrid(_BACK_M, ASIDE_M, indexing="ij"))
-    return np.asarray(approach.stop_m - back_m * approach.ahead + (approach.half_m + aside_m) * approach.aside)
+    return np.asarray(
+        approach.stop_m - back_m * approach.ahead + (approach.half_m + aside_m) * approach.aside
+    )
 
 
 def _first_free(places_m: F64, place: FreeGround) -> F64 | None:
@@ -228,9 +261,13 @@ def _heads(
     heads: list[SignalHead] = []
     for k, (tls_id, link) in enumerate(reversed(groups)):
         middle = first_m + k * _SIDE_BY_SIDE_M * aside
-        pieces.append(solid_shapes.box(middle, _HEAD_LWH_M, low_m, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True))
+        pieces.append(
+            solid_shapes.box(middle, _HEAD_LWH_M, low_m, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True)
+        )
         p_W_m = np.array([*middle, low_m + _HEAD_LWH_M[2] / 2])
-        heads.append(SignalHead(tls_id=tls_id, link=link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=False))
+        heads.append(
+            SignalHead(tls_id=tls_id, link=link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=False)
+        )
     return pieces, tuple(heads)
 
 
@@ -250,16 +287,29 @@ def _walk_signals(net: Net, place: FreeGround) -> Iterator[StandingObject]:
                 yield thing
 
 
-def _at_crossing(lane: Lane, end: int, along: F64, light: Connection, place: FreeGround) -> StandingObject | None:
-    """A post beside the end of a crossing, or None where there is no room; `along` points off the road."""
+def _at_crossing(
+    lane: Lane, end: int, along: F64, light: Connection, place: FreeGround
+) -> StandingObject | None:
+    """A post beside the end of a crossing, or None where there is no room.
+
+    `along` points off the road.
+    """
     yaw_rad = yaw_of(-along)
-    beyond_m, aside_m = (grid.reshape(-1, 1) for grid in np.meshgrid(BEYOND_M, BESIDE_M, indexing="ij"))
+    beyond_m, aside_m = (
+        grid.reshape(-1, 1) for grid in np.meshgrid(BEYOND_M, BESIDE_M, indexing="ij")
+    )
     side_m = aside_m + np.sign(aside_m) * lane.width_m / 2
     xy_m = _first_free(lane.points_m[end] + beyond_m * along + side_m * -left_of(along), place)
     if xy_m is None:
         return None
     post = solid_shapes.post(xy_m, _POST_M, FOOT_M, HEAD_LOW_M, ClassId.POLE, sides=5)
-    head = solid_shapes.box(xy_m, _WALK_HEAD_LWH_M, HEAD_LOW_M, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True)
+    head = solid_shapes.box(
+        xy_m, _WALK_HEAD_LWH_M, HEAD_LOW_M, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True
+    )
     p_W_m = np.array([*xy_m, HEAD_LOW_M + _WALK_HEAD_LWH_M[2] / 2])
-    signal = SignalHead(tls_id=light.tls_id, link=light.tls_link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=True)
-    return StandingObject(piece=solid_shapes.joined([post, head]), footprint=_disc(xy_m), base_m=xy_m, heads=(signal,))
+    signal = SignalHead(
+        tls_id=light.tls_id, link=light.tls_link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=True
+    )
+    return StandingObject(
+        piece=solid_shapes.joined([post, head]), footprint=_disc(xy_m), base_m=xy_m, heads=(signal,)
+    )

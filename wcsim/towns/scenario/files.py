@@ -1,12 +1,17 @@
-"""Files of a scenario that name other files: what they write is led into one folder, what they read stays theirs.
+"""Files of a scenario that name other files.
 
-A file that writes nothing is left where it is; only one that does is copied, with nothing but those names changed.
+What they write is led into one folder, what they read stays theirs.
 
-What the elements of SUMO's files say of other files: which attribute names one, to be read, included or written.
+A file that writes nothing is left where it is; only one that does is copied, with nothing but those
+names changed.
+
+What the elements of SUMO's files say of other files: which attribute names one, to be read,
+included or written.
 
 Names of written files: all in one folder, none twice, none that leads anywhere else.
 
-The border of a scenario: files that lie outside of its folder are neither opened nor copied unasked.
+The border of a scenario: files that lie outside of its folder are neither opened nor copied
+unasked.
 """
 
 import os
@@ -30,7 +35,12 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9_.-]+")
 _MAX_LENGTH = 120
 _SUMO_SPLITS_AT = ",:;$%"  # lists, sockets and substitutions in SUMO's file names
 # Elements and attributes that name XML files that SUMO reads.
-_READ = {("rerouter", "file"), ("variableSpeedSign", "file"), ("calibrator", "file"), ("include", "href")}
+_READ = {
+    ("rerouter", "file"),
+    ("variableSpeedSign", "file"),
+    ("calibrator", "file"),
+    ("include", "href"),
+}
 _TEXTS = ("edgesFile",)  # it reads them too, and they are no XML: a line for each edge
 _PICTURES = ("imgFile", "osgFile", "href")  # sumo-gui shows them, SUMO itself never opens them
 _READ_PARAMETERS = ("device.fcd-replay.file", "device.fcd-replay.files")
@@ -51,7 +61,9 @@ def check_inside(path: Path, border: Path | None, named_by: Path) -> None:
         if border is None or real.is_relative_to(os.path.realpath(border)):
             return
     except ValueError as error:  # NUL in the path
-        raise TownError(f"{escape(named_by)}: names {escape(path)} ({error}); correct the name") from None
+        raise TownError(
+            f"{escape(named_by)}: names {escape(path)} ({error}); correct the name"
+        ) from None
     raise TownError(
         f"{escape(named_by)}: names {escape(path)}, which is outside of its folder {escape(border)}; move it there "
         f"and correct the name, or permit files elsewhere: {_trust(named_by)}"
@@ -63,7 +75,10 @@ def _trust(named_by: Path) -> str:
     some = f"{_ALLOW} of wcsim town run and pave"
     if named_by.suffix != ".sumocfg":
         return f"{some}, and of wcsim town import, which makes a copy for all others"
-    path, name = named_by.absolute(), re.sub(r"[^A-Za-z0-9_-]", "_", named_by.absolute().parent.name)[:64] or "town"
+    path, name = (
+        named_by.absolute(),
+        re.sub(r"[^A-Za-z0-9_-]", "_", named_by.absolute().parent.name)[:64] or "town",
+    )
     return (
         f"{some}, or a copy for all commands: wcsim town import --sumocfg {shlex.quote(escape(path, 4096))} "
         f"--name {name} {_ALLOW}"
@@ -79,18 +94,23 @@ def check_file(path: Path, border: Path | None, named_by: Path) -> None:
             f"{escape(named_by.name)}"
         )
     if "," in str(path):
-        raise TownError(f"{escape(path)}: SUMO splits file names at commas; rename the file or its folder")
+        raise TownError(
+            f"{escape(path)}: SUMO splits file names at commas; rename the file or its folder"
+        )
 
 
 def with_included(files: Iterable[Path], border: Path | None) -> tuple[Path, ...]:
-    """Additional or route files, each followed by all that it includes; what is met again is left out.
+    """Additional or route files, each followed by all that it includes.
+
+    What is met again is left out.
 
     Args:
         files: As a scenario names them, plain or gzip-compressed.
         border: The folder outside of which nothing is opened; None for none.
 
     Raises:
-        TownError: An included file is not there, is no XML, includes itself, or lies outside of the border.
+        TownError: An included file is not there, is no XML, includes itself, or lies outside of the
+            border.
     """
     found: dict[Path, Path] = {}  # by where it really lies, for a file has many names
     for path in files:
@@ -98,7 +118,9 @@ def with_included(files: Iterable[Path], border: Path | None) -> tuple[Path, ...
     return tuple(found.values())
 
 
-def _follow(path: Path, border: Path | None, above: tuple[Path, ...], found: dict[Path, Path]) -> None:
+def _follow(
+    path: Path, border: Path | None, above: tuple[Path, ...], found: dict[Path, Path]
+) -> None:
     real = Path(os.path.realpath(path))
     below = _below(above, real, escape(path))
     if real in found:
@@ -111,7 +133,10 @@ def _follow(path: Path, border: Path | None, above: tuple[Path, ...], found: dic
 
 
 def _below(above: tuple[Path, ...], path: Path, where: str) -> tuple[Path, ...]:
-    """The files that lead to what a file includes. Raises TownError when they lead back to it, or are too many."""
+    """The files that lead to what a file includes.
+
+    Raises TownError when they lead back to it, or are too many.
+    """
     if path in above or len(above) >= MAX_DEPTH:
         chain = " -> ".join(item.name for item in (*above, path))
         raise TownError(f"{where}: its files include each other ({chain}); remove one <include>")
@@ -133,13 +158,18 @@ def _included(path: Path) -> list[str]:
 
 
 class OutputNames:
-    """The files that a scenario writes into one folder; equal places of the author's are the same file here too."""
+    """The files that a scenario writes into one folder.
+
+    Equal places of the author's are the same file here too.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Raises TownError for a folder whose name SUMO does not take for one."""
         strange = sorted(set(str(folder)) & set(_SUMO_SPLITS_AT))
         if strange:
-            raise TownError(f"{folder}: SUMO cannot write to a path with {' '.join(strange)} in it; choose another")
+            raise TownError(
+                f"{folder}: SUMO cannot write to a path with {' '.join(strange)} in it; choose another"
+            )
         self.folder = folder
         self._of_author: dict[str, Path] = {}
         self._taken: set[str] = set()
@@ -191,26 +221,39 @@ class _NamesFiles:
         odd = [key for key in attributes[::2] if _may_name(key.rpartition(":")[2])]
         self._plain.update(key for key in attributes[::2] if key not in odd)
         if odd:
-            self._note(tag.rpartition(":")[2], dict(zip(attributes[::2], attributes[1::2], strict=True)))
+            self._note(
+                tag.rpartition(":")[2], dict(zip(attributes[::2], attributes[1::2], strict=True))
+            )
 
     def _note(self, tag: str, attributes: dict[str, str]) -> None:
         """An element with an attribute that names a file, or may do so."""
-        emission, projection = attributes.get("emissionClass", ""), attributes.get("projParameter", "")
+        emission, projection = (
+            attributes.get("emissionClass", ""),
+            attributes.get("projParameter", ""),
+        )
         if ".." in emission or emission.startswith("/"):
-            raise TownError(f"{self._where}: has emissionClass={escape(emission, 60)!r}; expected a name: correct it")
+            raise TownError(
+                f"{self._where}: has emissionClass={escape(emission, 60)!r}; expected a name: correct it"
+            )
         if _GRIDS.search(projection):
             told = escape(projection, 60)
-            raise TownError(f"{self._where}: has projParameter={told!r}, which names a file; expected one without")
+            raise TownError(
+                f"{self._where}: has projParameter={told!r}, which names a file; expected one without"
+            )
         for key, value in attributes.items():
             name = key.rpartition(":")[2]
             if name == "key":
-                self.found |= tag == "param" and (_writes_parameter(value) or _reads_parameter(value))
+                self.found |= tag == "param" and (
+                    _writes_parameter(value) or _reads_parameter(value)
+                )
             elif name not in ("emissionClass", "projParameter") and _may_name(name):
                 self.found = True
 
 
 def _may_name(key: str) -> bool:
-    return key in ("key", "href", "emissionClass", "projParameter") or _WRITTEN.match(key) is not None
+    return (
+        key in ("key", "href", "emissionClass", "projParameter") or _WRITTEN.match(key) is not None
+    )
 
 
 def _reads_parameter(key: str) -> bool:
@@ -223,7 +266,8 @@ def _writes_parameter(key: str) -> bool:
     return not _reads_parameter(key) and _WRITTEN_PARAMETER.match(key) is not None
 
 
-_PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")  # spelt alike in every language
+# Spelt alike in every language.
+_PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")
 
 
 class FilteredFiles:
@@ -257,17 +301,25 @@ class FilteredFiles:
         return self._place(path, named_by, ())
 
     def place_option(self, option: SumoOption, path: Path, named_by: Path) -> Path:
-        """The file, or the filtered copy of it, that an option names to be read. Raises TownError as `place` does."""
+        """The file, or the filtered copy of it, that an option names to be read.
+
+        Raises TownError as `place` does.
+        """
         if option.reads is Content.FOLDER:
             check_inside(path, self._border, named_by)
             return path.absolute()
-        return self.place(path, named_by) if option.reads is Content.XML else self.place_text(path, named_by)
+        return (
+            self.place(path, named_by)
+            if option.reads is Content.XML
+            else self.place_text(path, named_by)
+        )
 
     def place_text(self, path: Path, named_by: Path) -> Path:
         """A file that SUMO reads as something else than XML, where it is.
 
         Raises:
-            TownError: it is not there, is no regular file, is too large, or lies outside of the border.
+            TownError: it is not there, is no regular file, is too large, or lies outside of the
+                border.
         """
         whole = self._note(path, named_by)
         read_file_size(whole, SCENARIO)
@@ -302,7 +354,10 @@ class FilteredFiles:
         return self._copy(path, root)
 
     def _change(self, element: Element, path: Path, above: tuple[Path, ...]) -> bool:
-        """Lead what an element writes into the folder, and what it reads to filtered files; True if that changed it."""
+        """Lead what an element writes into the folder, and what it reads to filtered files.
+
+        True if that changed it.
+        """
         before = dict(element.attrib)
         for key, value in before.items():
             there = path.parent / value
@@ -324,11 +379,15 @@ class FilteredFiles:
         if _writes_parameter(key) and value not in NOWHERE:
             element.set("value", str(self.names.place(value, path.parent, f"{key.strip()}.xml")))
         elif _reads_parameter(key):
-            found = [self._place(path.parent / part.strip(), path, above) for part in value.split(",")]
+            found = [
+                self._place(path.parent / part.strip(), path, above) for part in value.split(",")
+            ]
             element.set("value", ",".join(map(str, found)))
 
     def _copy(self, path: Path, root: Element) -> Path:
-        name = _UNSAFE.sub("_", path.name.removesuffix(".gz"))[-_MAX_LENGTH:].lstrip(".") or "file.xml"
+        name = (
+            _UNSAFE.sub("_", path.name.removesuffix(".gz"))[-_MAX_LENGTH:].lstrip(".") or "file.xml"
+        )
         place = self._copies.folder / self._copies.unique(name)
         place.parent.mkdir(parents=True, exist_ok=True)
         ElementTree.ElementTree(root).write(place, encoding="UTF-8", xml_declaration=True)
@@ -343,7 +402,10 @@ def _make_absolute(element: Element, path: Path) -> None:
 
 
 def without_namespaces(root: Element) -> Element:
-    """The same tree with the bare names that SUMO goes by; attributes of other namespaces are left out."""
+    """The same tree with the bare names that SUMO goes by.
+
+    Attributes of other namespaces are left out.
+    """
     for element in root.iter():
         tag: object = element.tag
         if not isinstance(tag, str):  # a comment

@@ -21,7 +21,12 @@ _NET = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:<\?[^<>]*>\s*)?<net[\s>]")
 _LIMITS = Limits(wall_s=30.0, cpu_s=20, memory_bytes=4 << 30, file_bytes=1 << 24)
 _DROPPED_TOPICS = ("configuration", "gui_only", "traci_server")
 _DROPPED = ("output-prefix", "output-suffix", "verbose", "print-options", "help", "version")
-_INPUTS = ("astar.all-distances", "astar.landmark-distances", "phemlight-path", "device.fcd-replay.files")
+_INPUTS = (
+    "astar.all-distances",
+    "astar.landmark-distances",
+    "phemlight-path",
+    "device.fcd-replay.files",
+)
 _WRITES = re.compile(r"[.-](file|files|output|log)$|^log$")
 _TEXTS = tuple(name for name in _INPUTS if name.startswith("astar."))
 _FOLDERS = ("phemlight-path",)
@@ -65,7 +70,10 @@ class SumoOption:
 
     @property
     def treatment(self) -> Treatment:
-        """What may be done with it: whatever could write a file and is not known to read one counts as output."""
+        """What may be done with it.
+
+        Whatever could write a file and is not known to read one counts as output.
+        """
         if self.topic in _DROPPED_TOPICS or self.name in _DROPPED:
             return Treatment.DROP
         if self.kind != "FILE" and not (self.kind == "STR" and _WRITES.search(self.name)):
@@ -78,7 +86,9 @@ class SumoOption:
         """What an INPUT names; whatever is not known to be something else must be XML."""
         if self.name in _FOLDERS:
             return Content.FOLDER
-        return Content.TEXT if self.name in _TEXTS or self.name.endswith("input-file") else Content.XML
+        return (
+            Content.TEXT if self.name in _TEXTS or self.name.endswith("input-file") else Content.XML
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +119,10 @@ class Configuration:
         return next((item.value for item in self.given if item.option.name == name), None)
 
     def number(self, name: str, otherwise: float) -> float:
-        """The number that the author gave an option; `otherwise` where that is none: SUMO refuses it in its words."""
+        """The number that the author gave an option.
+
+        `otherwise` where that is none: SUMO refuses it in its words.
+        """
         try:
             return float(self.value(name) or otherwise)
         except ValueError:
@@ -132,12 +145,16 @@ class Configuration:
         try:
             parts = [float(part) for part in reversed(text.split(":"))]
         except ValueError:
-            raise TownError(f"{self.path}: {text!r} is not a time; expected seconds or hours:minutes:seconds") from None
+            raise TownError(
+                f"{self.path}: {text!r} is not a time; expected seconds or hours:minutes:seconds"
+            ) from None
         return sum(part * share for part, share in zip(parts, (1, 60, 3600, 86400), strict=False))
 
     def files(self, name: str) -> tuple[Path, ...]:
         """The files that an option names."""
-        return next((item.files(self.path.parent) for item in self.given if item.option.name == name), ())
+        return next(
+            (item.files(self.path.parent) for item in self.given if item.option.name == name), ()
+        )
 
 
 @functools.cache
@@ -150,13 +167,18 @@ def sumo_options() -> dict[str, SumoOption]:
     with create_temporary_folder() as folder:
         run = run_tool("sumo", ["--save-template", "options.xml"], folder, _LIMITS)
         if run.returncode:
-            raise SumoError(f"SUMO did not list its options: {run.reason()}; install the eclipse-sumo wheel again")
+            raise SumoError(
+                f"SUMO did not list its options: {run.reason()}; install the eclipse-sumo wheel again"
+            )
         root = ElementTree.parse(folder / "options.xml").getroot()  # noqa: S314 - SUMO wrote it just now
     found: dict[str, SumoOption] = {}
     for topic in root:
         for element in topic:
             option = SumoOption(
-                name=element.tag, topic=topic.tag, kind=element.get("type", "STR"), default=element.get("value", "")
+                name=element.tag,
+                topic=topic.tag,
+                kind=element.get("type", "STR"),
+                default=element.get("value", ""),
             )
             for spelling in (element.tag, *element.get("synonymes", "").split()):
                 found[spelling] = option
@@ -164,7 +186,9 @@ def sumo_options() -> dict[str, SumoOption]:
 
 
 def read_configuration(sumocfg: Path) -> Configuration:
-    """What a .sumocfg sets: at any depth, by any spelling, as `value=`, as `v=`, or as text, as SUMO takes it.
+    """What a .sumocfg sets.
+
+    At any depth, by any spelling, as `value=`, as `v=`, or as text, as SUMO takes it.
 
     Raises:
         TownError: it is no configuration, or it names an option that SUMO does not have.
@@ -180,17 +204,26 @@ def read_configuration(sumocfg: Path) -> Configuration:
             continue
         option = known.get(element.tag)
         if option is None:
-            raise TownError(f"{sumocfg}: SUMO has no option <{element.tag}>; correct its name or remove it")
+            raise TownError(
+                f"{sumocfg}: SUMO has no option <{element.tag}>; correct its name or remove it"
+            )
         if option.name in given:
-            raise TownError(f"{sumocfg}: sets <{option.name}> twice; SUMO takes it once: join the values")
+            raise TownError(
+                f"{sumocfg}: sets <{option.name}> twice; SUMO takes it once: join the values"
+            )
         if value and not _fits(option, value):
-            raise TownError(f"{sumocfg}: <{option.name}> is {value[:40]!r}; expected {_EXPECTED[option.kind]}")
+            raise TownError(
+                f"{sumocfg}: <{option.name}> is {value[:40]!r}; expected {_EXPECTED[option.kind]}"
+            )
         given[option.name] = GivenOption(option=option, value=value)
     return Configuration(path=sumocfg, given=tuple(given.values()))
 
 
 def _fits(option: SumoOption, value: str) -> bool:
-    """Whether a value is of its option's kind: SUMO ignores one that is not, with a message that is easily missed."""
+    """Whether a value is of its option's kind.
+
+    SUMO ignores one that is not, with a message that is easily missed.
+    """
     kind = option.kind
     if option.name in _NAME_PARTS:
         return re.fullmatch(r"[A-Za-z0-9_.-]+", value) is not None

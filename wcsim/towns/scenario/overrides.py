@@ -1,4 +1,7 @@
-"""What wcsim overrides of a scenario's own options: one list of rules, which `tools/overrides_page.py` prints."""
+"""What wcsim overrides of a scenario's own options.
+
+One list of rules, which `tools/overrides_page.py` prints.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -74,11 +77,17 @@ def scenario_overrides(sumocfg: Path, settings: Settings) -> tuple[Override, ...
     """What a world overrides of a scenario, without staging it; see `stage_scenario`."""
     config = read_configuration(sumocfg)
     writes = [item for item in config.given if item.option.treatment is Treatment.OUTPUT]
-    return overrides_of(config, settings, [(item.option.name, f"sumo/{Path(item.value).name}") for item in writes])
+    return overrides_of(
+        config, settings, [(item.option.name, f"sumo/{Path(item.value).name}") for item in writes]
+    )
 
 
-def overrides_of(config: Configuration, settings: Settings, outputs: Sequence[tuple[str, str]]) -> tuple[Override, ...]:
-    """The rows for one scenario: only what differs from what its author wrote, or what SUMO would else do.
+def overrides_of(
+    config: Configuration, settings: Settings, outputs: Sequence[tuple[str, str]]
+) -> tuple[Override, ...]:
+    """The rows for one scenario.
+
+    Only what differs from what its author wrote, or what SUMO would else do.
 
     Args:
         config: The author's configuration.
@@ -116,7 +125,9 @@ def _idle_rows(config: Configuration) -> Iterator[Override]:
             why = WHY.get(topic, WHY["no-step-log"])
             yield Override(option=name, author=item.value, wcsim="(left out)", why=why)
         elif name == "end":
-            yield Override(option="end", author=item.value, wcsim="(not the run's end)", why=WHY[name])
+            yield Override(
+                option="end", author=item.value, wcsim="(not the run's end)", why=WHY[name]
+            )
 
 
 def _faster(config: Configuration, settings: Settings) -> str:

@@ -1,4 +1,7 @@
-"""A scenario on its way into a world: filtered copies in the run folder, the author's own files untouched."""
+"""A scenario on its way into a world.
+
+Filtered copies in the run folder, the author's own files untouched.
+"""
 
 import hashlib
 import re
@@ -19,7 +22,14 @@ from wcsim.towns.scenario.options import (
     read_configuration,
     sumo_options,
 )
-from wcsim.towns.scenario.overrides import AGGREGATED, JUMPING, Override, Settings, forced, overrides_of
+from wcsim.towns.scenario.overrides import (
+    AGGREGATED,
+    JUMPING,
+    Override,
+    Settings,
+    forced,
+    overrides_of,
+)
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.warning_log import ERROR_LOG
 from wcsim.towns.sumo.xml_io import is_true
@@ -38,7 +48,8 @@ class Scenario:
     sumocfg: Path  # the filtered copy, to be opened with sumo or sumo-gui as it is
     overrides: tuple[Override, ...]
     notes: tuple[str, ...]  # what its users should know
-    outputs: tuple[Path, ...]  # files that it may write, besides warnings, and ssm.xml of safety devices
+    # Files that it may write, besides warnings, and ssm.xml of safety devices.
+    outputs: tuple[Path, ...]
     warnings: str  # the file of SUMO's warnings; "" where there is none
     author_scale: float
     begin_s: float
@@ -46,7 +57,9 @@ class Scenario:
     inputs: tuple[Path, ...]  # everything SUMO reads, as its author wrote it
 
 
-def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequence[str] = ()) -> Scenario:
+def stage_scenario(
+    town: Town, settings: Settings, folder: Path, outputs: Sequence[str] = ()
+) -> Scenario:
     """Write the filtered copies of a town's scenario into `folder`, an empty one of its own.
 
     Args:
@@ -61,7 +74,9 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
     """
     config = read_configuration(town.sumocfg)
     if is_true(config.value("mesosim") or "false"):
-        raise TownError(f"{config.path}: is mesoscopic (mesosim): vehicles have no positions; remove that option")
+        raise TownError(
+            f"{config.path}: is mesoscopic (mesosim): vehicles have no positions; remove that option"
+        )
     files = FilteredFiles(folder.absolute(), town.border)
     names = files.names
     names.unique(town.sumocfg.name)
@@ -71,12 +86,16 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
     kept = [
         (item.option, _value(item, config, names, files))
         for item in config.given
-        if item.value and item.option.treatment is not Treatment.DROP and item.option.name not in (*set_here, *unasked)
+        if item.value
+        and item.option.treatment is not Treatment.DROP
+        and item.option.name not in (*set_here, *unasked)
     ]
     kept += _asked_for(outputs, config, names)
     kept += [(sumo_options()[name], value) for name, value in (set_here | unasked).items()]
     # SUMO writes some outputs as parquet until two of their elements differ; then it aborts the process.
-    fcd = f"{config.value('fcd-output.attributes')} {config.value('fcd-output.max-leader-distance')}"
+    fcd = (
+        f"{config.value('fcd-output.attributes')} {config.value('fcd-output.max-leader-distance')}"
+    )
     for option, value in kept:
         if re.match(_UNEVEN, f"{option.name} {fcd}") and (
             value.endswith(".parquet") or config.value("output.format") == "parquet"
@@ -110,12 +129,15 @@ def files_of(town: Town, config: RunConfig) -> tuple[Path, ...]:
     """Every file that a scenario is made of, its .sumocfg first, and what wcsim itself knows of it.
 
     Raises:
-        TownError: as `stage_scenario`: one is not there, or cannot be read. SUMO opens none of them.
+        TownError: as `stage_scenario`: one is not there, or cannot be read. SUMO opens none of
+            them.
     """
     with create_temporary_folder() as folder:
         inputs = stage_scenario(town, Settings(world=config.world, seed=1), folder).inputs
     known = town.folder.absolute() / "town.toml"
-    return tuple(dict.fromkeys((town.sumocfg.absolute(), *inputs, *((known,) if known.is_file() else ()))))
+    return tuple(
+        dict.fromkeys((town.sumocfg.absolute(), *inputs, *((known,) if known.is_file() else ())))
+    )
 
 
 def _notes_of(config: Configuration) -> tuple[str, ...]:
@@ -138,30 +160,40 @@ def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise TownError(f"{folder}: cannot be created ({error.strerror}); choose another run folder") from None
+        raise TownError(
+            f"{folder}: cannot be created ({error.strerror}); choose another run folder"
+        ) from None
 
 
-def _value(item: GivenOption, config: Configuration, names: OutputNames, files: FilteredFiles) -> str:
+def _value(
+    item: GivenOption, config: Configuration, names: OutputNames, files: FilteredFiles
+) -> str:
     """The value that an option has in the filtered copy."""
     folder = config.path.parent
     if item.option.treatment is Treatment.OUTPUT:
         written = [part.strip() for part in item.value.split(",") if part.strip()]
         instead = f"{item.option.name}.xml"
-        return ",".join(part if part in NOWHERE else str(names.place(part, folder, instead)) for part in written)
+        return ",".join(
+            part if part in NOWHERE else str(names.place(part, folder, instead)) for part in written
+        )
     if item.option.treatment is Treatment.INPUT:
-        return ",".join(_quoted(files.place_option(item.option, path, config.path)) for path in item.files(folder))
+        return ",".join(
+            _quoted(files.place_option(item.option, path, config.path))
+            for path in item.files(folder)
+        )
     return item.value
 
 
 def _unasked_outputs(config: Configuration, names: OutputNames) -> dict[str, str]:
     """Options, and their values, that lead what SUMO writes where its author names no file.
 
-    Safety devices write beside the configuration or into the current folder; so do states; and electric vehicles write
-    files that are called by their ids, which may hold a path.
+    Safety devices write beside the configuration or into the current folder; so do states; and
+    electric vehicles write files that are called by their ids, which may hold a path.
     """
     found = {}
     if not config.value("device.ssm.file"):
-        found["device.ssm.file"] = str(names.folder / names.unique("ssm.xml"))  # made when the first such device is
+        # Made when the first such device is.
+        found["device.ssm.file"] = str(names.folder / names.unique("ssm.xml"))
     saves = config.value("save-state.period") or config.value("save-state.times")
     if saves and not config.value("save-state.prefix"):
         found["save-state.prefix"] = str(names.place("state", names.folder, "state"))
@@ -173,14 +205,20 @@ def _unasked_outputs(config: Configuration, names: OutputNames) -> dict[str, str
     return found
 
 
-def _asked_for(outputs: Sequence[str], config: Configuration, names: OutputNames) -> list[tuple[SumoOption, str]]:
+def _asked_for(
+    outputs: Sequence[str], config: Configuration, names: OutputNames
+) -> list[tuple[SumoOption, str]]:
     """The outputs that the user of this run wants besides the author's."""
     more = []
     for word in outputs:
         option = sumo_options().get(f"{word}-output")
         if option is None or option.kind != "FILE":
-            known = sorted(name.removesuffix("-output") for name in sumo_options() if name.endswith("-output"))
-            raise ConfigError(f"--outputs {word!r}: SUMO has no such output; expected some of: {', '.join(known)}")
+            known = sorted(
+                name.removesuffix("-output") for name in sumo_options() if name.endswith("-output")
+            )
+            raise ConfigError(
+                f"--outputs {word!r}: SUMO has no such output; expected some of: {', '.join(known)}"
+            )
         if not config.value(option.name):
             more.append((option, str(names.place(f"{word}.xml", names.folder, f"{word}.xml"))))
     return more

@@ -1,4 +1,7 @@
-"""Towns on disk: found by name or path, the same by hash or not, and with a manifest that shows a change since."""
+"""Towns on disk.
+
+Found by name or path, the same by hash or not, and with a manifest that shows a change since.
+"""
 
 import hashlib
 import logging
@@ -21,7 +24,8 @@ NOT_TOWNS = ("scenes",)
 TOWN_TOML = "town.toml"
 _BOUNDARY = re.compile(rb"""<location\b[^<>]*\bconvBoundary\s*=\s*["']([^"']*)["']""")
 _LOCATION_BYTES = 1 << 20
-_FAR_M = 10_000.0  # from its origin: beyond it a mesh of 32-bit numbers knows no millimetres, and soon no kerbs
+# From its origin: beyond it a mesh of 32-bit numbers knows no millimetres, and soon no kerbs.
+_FAR_M = 10_000.0
 _POLYGONS = re.compile(r"\.poly\.xml(\.gz)?$")
 
 
@@ -38,12 +42,16 @@ class Town:
     poly: Path | None
     routes: tuple[Path, ...] = ()
     additional: tuple[Path, ...] = ()  # the polygons among them
-    border: Path | None = None  # the folder outside of which nothing is opened because of it; None: its user trusts it
+    # The folder outside of which nothing is opened because of it; None: its user trusts it.
+    border: Path | None = None
     passing: bool = False  # it is driven once: what is built of it is not cached
 
     @property
     def declared(self) -> bool:
-        """Whether a town.toml says what it is for; `split` is a mere guess for a scenario that was made elsewhere."""
+        """Whether a town.toml says what it is for.
+
+        `split` is a mere guess for a scenario that was made elsewhere.
+        """
         return (self.folder / TOWN_TOML).is_file()
 
     @property
@@ -67,11 +75,17 @@ def find_town(name_or_path: str, *, outside: bool = False) -> Town:
     """
     if not name_or_path:
         raise TownError(
-            "the town name is empty; expected one of: " + _known() + ", or a path to a folder with a .sumocfg"
+            "the town name is empty; expected one of: "
+            + _known()
+            + ", or a path to a folder with a .sumocfg"
         )
     for root in town_roots():
         folder = root / name_or_path
-        if re.fullmatch(r"[\w-]+", name_or_path) and name_or_path not in NOT_TOWNS and _is_town(folder):
+        if (
+            re.fullmatch(r"[\w-]+", name_or_path)
+            and name_or_path not in NOT_TOWNS
+            and _is_town(folder)
+        ):
             return open_town(folder)
     path = expanded(name_or_path)
     if is_folder(path) or is_file(path):
@@ -94,7 +108,10 @@ def _unknown_town(name_or_path: str) -> TownError:
 
 
 def expanded(path: str) -> Path:
-    """A path as it was typed, with the home folder in place of ~; that of an unknown user stays as it is."""
+    """A path as it was typed, with the home folder in place of ~.
+
+    That of an unknown user stays as it is.
+    """
     try:
         return Path(path).expanduser()
     except RuntimeError:
@@ -102,9 +119,12 @@ def expanded(path: str) -> Path:
 
 
 def list_towns() -> tuple[Town, ...]:
-    """All towns that can be found by name, sorted; one in ./scenarios/sumo hides one of the package.
+    """All towns that can be found by name, sorted.
 
-    A folder that cannot be opened is logged and left out, so that one broken town does not hide the others.
+    One in ./scenarios/sumo hides one of the package.
+
+    A folder that cannot be opened is logged and left out, so that one broken town does not hide the
+    others.
     """
     towns: dict[str, Town] = {}
     for root in town_roots():
@@ -123,14 +143,20 @@ def by_name(towns: Iterable[Town]) -> dict[str, Town]:
     for town in towns:
         other = found.setdefault(town.name, town)
         if other.sumocfg.resolve() != town.sumocfg.resolve():
-            raise TownError(f"{other.address} and {town.address} are both named {town.name}; use one at a time")
+            raise TownError(
+                f"{other.address} and {town.address} are both named {town.name}; use one at a time"
+            )
     return found
 
 
 def town_roots() -> tuple[Path, ...]:
     """Folders in which towns are looked up by name, first hit first."""
     package = Path(__file__).resolve().parents[2]
-    places = (Path.cwd() / "scenarios" / "sumo", package / "scenarios" / "sumo", package.parent / "scenarios" / "sumo")
+    places = (
+        Path.cwd() / "scenarios" / "sumo",
+        package / "scenarios" / "sumo",
+        package.parent / "scenarios" / "sumo",
+    )
     return tuple(dict.fromkeys(place for place in places if place.is_dir()))
 
 
@@ -151,7 +177,9 @@ def open_town(path: Path, *, outside: bool = False) -> Town:
     config = read_configuration(sumocfg)
     nets = config.files("net-file")
     if len(nets) != 1:
-        raise TownError(f"{sumocfg}: names {len(nets)} nets; expected one <net-file value=...> in <input>")
+        raise TownError(
+            f"{sumocfg}: names {len(nets)} nets; expected one <net-file value=...> in <input>"
+        )
     routes, additional = config.files("route-files"), config.files("additional-files")
     for item in (*nets, *routes, *additional):
         check_file(item, border, sumocfg)
@@ -176,7 +204,10 @@ def polygons_among(files: tuple[Path, ...]) -> Path | None:
 
 
 def _town_file(folder: Path, config: Configuration) -> TownFile:
-    """`town.toml` of a folder; a scenario made elsewhere has none and gets the middle of its net as origin."""
+    """`town.toml` of a folder.
+
+    A scenario made elsewhere has none and gets the middle of its net as origin.
+    """
     toml, net = folder / TOWN_TOML, config.files("net-file")[0]
     if toml.is_file():
         return _near(read_town_file(toml), net)
@@ -187,7 +218,10 @@ def _town_file(folder: Path, config: Configuration) -> TownFile:
 
 
 def _near(file: TownFile, net: Path) -> TownFile:
-    """With the middle of a far net as origin where the file says none: nets keep UTM's coordinates where asked to."""
+    """With the middle of a far net as origin where the file says none.
+
+    Nets keep UTM's coordinates where asked to.
+    """
     if "origin_m" in file.model_fields_set:
         return file
     middle_m = net_middle(net)
@@ -201,7 +235,9 @@ def read_town_file(toml: Path) -> TownFile:
 
 
 def net_middle(net: Path) -> tuple[int, int]:
-    """The middle of a net in its own coordinates, in whole metres; (0, 0) where it does not say how far it reaches.
+    """The middle of a net in its own coordinates, in whole metres.
+
+    (0, 0) where it does not say how far it reaches.
 
     Raises:
         TownError: the file cannot be read, or is no XML.
@@ -225,38 +261,58 @@ def _junction_bounds(net: Path) -> tuple[float, float, float, float]:
 
 
 def content_hash(town: Town) -> str:
-    """SHA-256 (hex) over all SUMO input files' uncompressed content, comments stripped; file names do not count.
+    """SHA-256 (hex) over all SUMO input files' uncompressed content, comments stripped.
+
+    File names do not count.
 
     What these include counts too: SUMO reads it as a part of them.
 
     Raises:
-        TownError: A file cannot be read, or what it includes is missing, or outside of the town's border.
+        TownError: A file cannot be read, or what it includes is missing, or outside of the town's
+            border.
     """
     named = (*town.routes, *town.additional)
-    digests = sorted(content_digest(path) for path in {town.net, *named, *with_included(named, town.border)})
+    digests = sorted(
+        content_digest(path) for path in {town.net, *named, *with_included(named, town.border)}
+    )
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
 def streets_hash(town: Town) -> str:
-    """SHA-256 (hex) over the net alone: the same streets with other traffic are the same town to a network."""
+    """SHA-256 (hex) over the net alone.
+
+    The same streets with other traffic are the same town to a network.
+    """
     return content_digest(town.net)
 
 
 def towns_hash(towns: Sequence[Town]) -> str:
-    """SHA-256 (hex) over the streets of towns in their order: of one its `streets_hash`, of none ""."""
+    """SHA-256 (hex) over the streets of towns in their order.
+
+    Of one its `streets_hash`, of none "".
+    """
     hashes = [streets_hash(town) for town in towns]
-    return "".join(hashes) if len(hashes) < 2 else hashlib.sha256("\n".join(hashes).encode()).hexdigest()
+    return (
+        "".join(hashes)
+        if len(hashes) < 2
+        else hashlib.sha256("\n".join(hashes).encode()).hexdigest()
+    )
 
 
 def _main_config(folder: Path) -> Path:
-    """The .sumocfg that a folder is about: the one that town.toml names, the only one, or the one of its name."""
+    """The .sumocfg that a folder is about.
+
+    The one that town.toml names, the only one, or the one of its name.
+    """
     toml = folder / TOWN_TOML
     named_by_toml = read_town_file(toml).sumocfg if toml.is_file() else ""
     if named_by_toml:
         path = folder / named_by_toml
         check_inside(path, folder, toml)
         if not is_file(path):
-            raise TownError(f"{toml}: names sumocfg {named_by_toml!r}, which is not there; restore or correct it")
+            raise TownError(
+                f"{toml}: names sumocfg {named_by_toml!r}, which is not there; restore or correct it"
+            )
         return path
     if (folder / "scene.toml").is_file():
         raise TownError(f"{folder} is a scene, not a town; run it: wcsim scene run {folder}")
@@ -265,7 +321,9 @@ def _main_config(folder: Path) -> Path:
     if len(named or configs) == 1:
         return (named or configs)[0]
     got = ", ".join(item.name for item in configs) or "none"
-    raise TownError(f"{folder}: expected one .sumocfg file, got {got}; give the path of the one that is meant")
+    raise TownError(
+        f"{folder}: expected one .sumocfg file, got {got}; give the path of the one that is meant"
+    )
 
 
 def _is_town(folder: Path) -> bool:
@@ -280,27 +338,41 @@ def _configs(folder: Path) -> list[Path]:
 
 def _known() -> str:
     names = {
-        item.name for root in town_roots() for item in root.iterdir() if item.name not in NOT_TOWNS and _is_town(item)
+        item.name
+        for root in town_roots()
+        for item in root.iterdir()
+        if item.name not in NOT_TOWNS and _is_town(item)
     }
     return ", ".join(sorted(names)) or "(no town is installed)"
 
 
 KINDS = ("net.xml.gz", "poly.xml.gz", "rou.xml.gz", "dem.tif", "add.xml", "sumocfg")
-BESIDE = ("town.toml", "LICENSE-DATA", "osm/bbox")  # what the importer writes besides, and the extract
+# What the importer writes besides, and the extract.
+BESIDE = ("town.toml", "LICENSE-DATA", "osm/bbox")
 CYCLE_PATHS = "--cycle-paths"  # of `wcsim town import`
-_AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "sumocfg")  # of town.toml
+# Of town.toml.
+_AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "sumocfg")
 
 
 def hash_files(folder: Path, name: str) -> dict[str, str]:
-    """SHA-256 (hex) of each file of a town that is there, by its ending; of XML without comments and packing."""
+    """SHA-256 (hex) of each file of a town that is there, by its ending.
+
+    Of XML without comments and packing.
+    """
     paths = {kind: folder / f"{name}.{kind}" for kind in KINDS}
     return {kind: _digest(path) for kind, path in paths.items() if path.is_file()}
 
 
 def find_changes(folder: Path, file: TownFile) -> tuple[Path, ...]:
-    """Files of a town's folder that were changed since the import; nothing for a town without a manifest."""
+    """Files of a town's folder that were changed since the import.
+
+    Nothing for a town without a manifest.
+    """
     # in an adopted scenario files are noted by their place in the folder
-    noted = {folder / (f"{file.name}.{kind}" if kind in KINDS else kind): was for kind, was in file.hashes.items()}
+    noted = {
+        folder / (f"{file.name}.{kind}" if kind in KINDS else kind): was
+        for kind, was in file.hashes.items()
+    }
     return tuple(path for path, was in noted.items() if _now(path) != was)
 
 
@@ -312,23 +384,35 @@ def own_work(folder: Path) -> tuple[str, ...]:
         return ("town.toml",)
     name = file.name
     written = (
-        {*BESIDE, f"osm/{name}.osm.xml.gz", f"opendrive/{name}.xodr.gz", *(f"{name}.{kind}" for kind in KINDS)}
+        {
+            *BESIDE,
+            f"osm/{name}.osm.xml.gz",
+            f"opendrive/{name}.xodr.gz",
+            *(f"{name}.{kind}" for kind in KINDS),
+        }
         if file.rebuild
         else set()
     )
     there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
-    changed = set(find_changes(folder, file)) | ({folder / "town.toml"} if _by_hand(file) else set())
+    changed = set(find_changes(folder, file)) | (
+        {folder / "town.toml"} if _by_hand(file) else set()
+    )
     return tuple(sorted(name for name in there if name not in written or folder / name in changed))
 
 
 def chair_ways(cycle_paths: bool) -> tuple[ChairWay, ...]:
-    """Ways of the chairs of a town that is imported or generated: where the law has it so, cycle paths too."""
+    """Ways of the chairs of a town that is imported or generated.
+
+    Where the law has it so, cycle paths too.
+    """
     return ("sidewalk", "crossing", "shared", *(("cycleway",) if cycle_paths else ()))
 
 
 def _by_hand(file: TownFile) -> bool:
     """True when `town.toml` says what no importer writes."""
-    usual = TownFile(name=file.name, split=file.split, chair_ways=chair_ways(CYCLE_PATHS in file.rebuild))
+    usual = TownFile(
+        name=file.name, split=file.split, chair_ways=chair_ways(CYCLE_PATHS in file.rebuild)
+    )
     return any(getattr(file, key) != getattr(usual, key) for key in _AUTHORED_KEYS)
 
 
@@ -340,4 +424,8 @@ def _now(path: Path) -> str:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(read_bytes(path, HEIGHTS)).hexdigest() if path.suffix == ".tif" else content_digest(path)
+    return (
+        hashlib.sha256(read_bytes(path, HEIGHTS)).hexdigest()
+        if path.suffix == ".tif"
+        else content_digest(path)
+    )

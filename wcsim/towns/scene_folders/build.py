@@ -27,7 +27,13 @@ NETCONVERT_FILES = (("-n", "nod"), ("-e", "edg"), ("-x", "con"), ("-t", "typ"))
 
 _MORE_FILES = ("add", "poly")
 # normalisation off: the net keeps the coordinates that the author wrote
-_OPTIONS = ["--walkingareas", "--junctions.corner-detail", "5", "--no-turnarounds", "--offset.disable-normalization"]
+_OPTIONS = [
+    "--walkingareas",
+    "--junctions.corner-detail",
+    "5",
+    "--no-turnarounds",
+    "--offset.disable-normalization",
+]
 XY = tuple[float, float]
 
 
@@ -41,7 +47,10 @@ def list_scenes() -> tuple[Path, ...]:
 
 
 def find_scene(name_or_path: str) -> Path:
-    """The folder of a scene by name (in ./scenarios/sumo/scenes, then in the package) or path. Raises TownError."""
+    """The folder of a scene by name (in ./scenarios/sumo/scenes, then in the package) or path.
+
+    Raises TownError.
+    """
     scenes = {folder.name: folder for folder in list_scenes()}
     if name_or_path in scenes:
         return scenes[name_or_path]
@@ -55,12 +64,17 @@ def find_scene(name_or_path: str) -> Path:
 
 
 def _scene_of(folder: Path) -> SceneFile:
-    """The `scene.toml` of a scene. Raises ConfigError or TownError with every fault and its place."""
+    """The `scene.toml` of a scene.
+
+    Raises ConfigError or TownError with every fault and its place.
+    """
     return read_toml(folder / "scene.toml", SceneFile, SCENE)
 
 
 def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
-    """Build a scene's net into `work` and return it as a town; net coordinates are world coordinates.
+    """Build a scene's net into `work` and return it as a town.
+
+    Net coordinates are world coordinates.
 
     Raises:
         TownError: a file of the scene is missing, broken, or elsewhere.
@@ -75,7 +89,9 @@ def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
         if source is not None:
             copy_file(source, work / f"{scene.name}.{kind}.xml")
             additional += [f"{scene.name}.{kind}.xml"] if kind != "rou" else []
-    text = sumocfg_text(scene.name, scene.seed, routes=f"{scene.name}.rou.xml", additional=tuple(additional))
+    text = sumocfg_text(
+        scene.name, scene.seed, routes=f"{scene.name}.rou.xml", additional=tuple(additional)
+    )
     (work / f"{scene.name}.sumocfg").write_text(text, encoding="utf-8")
     toml = town_toml_text(name=scene.name, split="scene", kerb_height_m=scene.kerb_height_m)
     (work / "town.toml").write_text(toml, encoding="utf-8")
@@ -93,13 +109,17 @@ def _build_net(scene: SceneFile, folder: Path, work: Path) -> None:
     plain = work / f"{name}.net.xml"
     run = run_tool("netconvert", [*options, *_OPTIONS, "-o", plain.name], work)
     if run.returncode:
-        raise SumoError(f"scene {name}: no net could be built: {run.reason()}; correct the XML files in {folder}")
+        raise SumoError(
+            f"scene {name}: no net could be built: {run.reason()}; correct the XML files in {folder}"
+        )
     write_gzip(work / f"{name}.net.xml.gz", without_comments(plain.read_bytes()))
     plain.unlink()
 
 
 def _only(folder: Path, kind: str, *, needed: bool) -> Path | None:
-    found = sorted(path for path in folder.glob(f"*.{kind}.xml") if re.fullmatch(r"[\w.-]+", path.name))
+    found = sorted(
+        path for path in folder.glob(f"*.{kind}.xml") if re.fullmatch(r"[\w.-]+", path.name)
+    )
     if len(found) > 1 or (needed and not found):
         raise TownError(
             f"scene {folder}: has {len(found)} files *.{kind}.xml; expected {'one' if needed else 'at most one'}"
@@ -128,7 +148,10 @@ def seat_specs(folder: Path, scene: SceneFile, origin_m: XY) -> tuple[SeatSpec, 
 
 
 def scene_config(scene: SceneFile, base: RunConfig) -> RunConfig:
-    """The same configuration with the scene's own settings of the world; who looks is not drawn, as it is the scene."""
+    """The same configuration with the scene's own settings of the world.
+
+    Who looks is not drawn, as it is the scene.
+    """
     street = base.world.street if scene.street == "usual" else scene.street
     own = {"warmup_s": scene.warmup_s, "attention_share": scene.attention_share, "street": street}
     vary = base.vary.model_copy(update={"attention": {}, "reaction": {}})

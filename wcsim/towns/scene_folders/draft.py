@@ -1,4 +1,7 @@
-"""A scene before it is written: streets, traffic and a joystick as plain numbers, which a mirror can turn over."""
+"""A scene before it is written.
+
+Streets, traffic and a joystick as plain numbers, which a mirror can turn over.
+"""
 
 import json
 import re
@@ -19,7 +22,10 @@ RECORDING = "stick.csv"
 _Y_OF_SHAPE = re.compile(r"(?<=,)-?[0-9.]+")  # of an edge: no other attribute of it has commas
 
 FORE_M, CASTER_M, AFT_M, HALF_M = 0.8, 0.5, 0.34, 0.31
-"""The usual chair, from its drive axle: to the footplate's edge, the casters, its rear end; and half its width."""
+"""The usual chair, from its drive axle.
+
+To the footplate's edge, the casters, its rear end; and half its width.
+"""
 
 XY = tuple[float, float]
 END_M = 50.0
@@ -27,11 +33,11 @@ LANE_M = 3.25
 KERB_Y_M = -LANE_M
 _HOUSE_M = 8.0
 
-_EDGES = '<edge id="WE" from="W" to="E" type="street"/>\n<edge id="EW" from="E" to="W" type="street"/>'
-_CROSSING = '<crossing node="E" edges="WE EW" priority="true" width="3"/>'
-WALKER = (
-    '<vType id="walker" vClass="pedestrian" length="0.28" width="0.48" height="1.75" speedDev="0" maxSpeed="{:.2f}"/>'
+_EDGES = (
+    '<edge id="WE" from="W" to="E" type="street"/>\n<edge id="EW" from="E" to="W" type="street"/>'
 )
+_CROSSING = '<crossing node="E" edges="WE EW" priority="true" width="3"/>'
+WALKER = '<vType id="walker" vClass="pedestrian" length="0.28" width="0.48" height="1.75" speedDev="0" maxSpeed="{:.2f}"/>'
 
 
 class Node(NamedTuple):
@@ -54,7 +60,8 @@ class _Thing(NamedTuple):
 class Push(NamedTuple):
     """A joystick from a second on, until the next one.
 
-    In steps of a quarter, which are actions of every action set: who only follows then does what the user asks for.
+    In steps of a quarter, which are actions of every action set: who only follows then does what
+    the user asks for.
     """
 
     at_s: float
@@ -76,7 +83,10 @@ class Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Draft:
-    """One scene, with the kerb or the danger on the left, in net coordinates; `routes` are lines of XML."""
+    """One scene, with the kerb or the danger on the left, in net coordinates.
+
+    `routes` are lines of XML.
+    """
 
     shows: str
     place: Place
@@ -99,7 +109,9 @@ def mirrored(draft: Draft) -> Draft:
             place,
             nodes=tuple(node._replace(y_m=-node.y_m) for node in place.nodes),
             edges=_Y_OF_SHAPE.sub(lambda y: _text(-float(y[0])), place.edges),
-            things=tuple(t._replace(outline_m=tuple((x, -y) for x, y in t.outline_m)) for t in place.things),
+            things=tuple(
+                t._replace(outline_m=tuple((x, -y) for x, y in t.outline_m)) for t in place.things
+            ),
         ),
         start_m=(draft.start_m[0], -draft.start_m[1]),
         heading_deg=180.0 - draft.heading_deg,
@@ -112,7 +124,8 @@ def predict_path(start_m: XY, heading_deg: float, stick: Sequence[Push], until_s
     """Where the stick alone leads a chair of the usual settings, on flat ground, obeyed 0.2 s late.
 
     Returns:
-        (N, 4) time in s, x and y of the drive axle in m, heading counter-clockwise from east in rad.
+        (N, 4) time in s, x and y of the drive axle in m, heading counter-clockwise from east in
+        rad.
     """
     chair = ChairConfig()
     limits = drive_limits_from_chair(chair)
@@ -146,7 +159,9 @@ def files_of(draft: Draft, name: str, seed: int) -> dict[str, str]:
     if place.crossings:
         files["street.con.xml"] = _xml("connections", place.crossings)
     if place.things:
-        files["street.add.xml"] = _xml("additional", "\n".join(_poly(thing) for thing in place.things))
+        files["street.add.xml"] = _xml(
+            "additional", "\n".join(_poly(thing) for thing in place.things)
+        )
     return files
 
 
@@ -236,7 +251,13 @@ def house(name: str, x_m: XY, near_y_m: float, kind: str = "building") -> _Thing
     """A house, or the like, south of `near_y_m`."""
     far_y_m = near_y_m - _HOUSE_M
     west_m, east_m = x_m
-    corners = ((west_m, far_y_m), (east_m, far_y_m), (east_m, near_y_m), (west_m, near_y_m), (west_m, far_y_m))
+    corners = (
+        (west_m, far_y_m),
+        (east_m, far_y_m),
+        (east_m, near_y_m),
+        (west_m, near_y_m),
+        (west_m, far_y_m),
+    )
     return _Thing(name, kind, corners)
 
 

@@ -74,7 +74,10 @@ def _reversing_off_kerb(rng: np.random.Generator) -> Draft:
 
 
 def _turning_beside_drop(rng: np.random.Generator) -> Draft:
-    """The chair stands or drives along the kerb, and the user turns it there: forwards over it, or back over it."""
+    """The chair stands or drives along the kerb, and the user turns it there.
+
+    Forwards over it, or back over it.
+    """
     pavement = Pavement(width_m=rng.uniform(2.0, 3.0))
     backs_up = bool(rng.integers(2))
     start_m = (rng.uniform(-20.0, 0.0), pavement.at(rng.uniform(0.5, 0.75)))
@@ -112,7 +115,11 @@ def _twisted_ramp(rng: np.random.Generator) -> Draft:
         Push(pull_s + pulls_s + 1.2, 0.5, 0.25),
         Push(pull_s + pulls_s + 4.0, 0.0, 0.5),
     )
-    climb_m, walk_y_m, road_y_m = 2.0 * END_M * rise, pavement.at(0.5 * pavement.width_m), KERB_Y_M + 0.5 * LANE_M
+    climb_m, walk_y_m, road_y_m = (
+        2.0 * END_M * rise,
+        pavement.at(0.5 * pavement.width_m),
+        KERB_Y_M + 0.5 * LANE_M,
+    )
     higher_m = lean * (road_y_m - walk_y_m)
     return Draft(
         shows="A pavement climbs and leans towards the road; the wheelchair pulls to that side, where the kerb drops.",
@@ -134,7 +141,10 @@ def _twisted_ramp(rng: np.random.Generator) -> Draft:
 
 
 def _footplate_swing(rng: np.random.Generator) -> Draft:
-    """The chair stands along a wall, and the user turns it on the spot: the footplate swings out into the wall."""
+    """The chair stands along a wall, and the user turns it on the spot.
+
+    The footplate swings out into the wall.
+    """
     pavement = Pavement(width_m=rng.uniform(2.6, 3.4))
     wall_y_m = pavement.at(pavement.width_m - rng.uniform(0.2, 0.5))
     start_m = (rng.uniform(-20.0, 0.0), wall_y_m + rng.uniform(0.45, 0.62))
@@ -153,7 +163,9 @@ def _footplate_swing(rng: np.random.Generator) -> Draft:
     west_m = start_m[0] - rng.uniform(2.0, 8.0)
     return Draft(
         shows="A wheelchair stands close beside a wall, and its user turns towards it on the spot.",
-        place=pavement.street(house("wall", (west_m, west_m + rng.uniform(10.0, 20.0)), near_y_m, kind)),
+        place=pavement.street(
+            house("wall", (west_m, west_m + rng.uniform(10.0, 20.0)), near_y_m, kind)
+        ),
         start_m=start_m,
         heading_deg=90.0 + rng.uniform(-4.0, 4.0),
         stick=stick,
@@ -166,7 +178,9 @@ _BEND_M, _BEND_MPS = 3.4, 3.0  # of the way through the junction, and how fast S
 _KINDS = (("bicycle", 1.8, 0.65, 1.7), ("scooter", 1.2, 0.6, 1.75))
 
 
-def _rider(rng: np.random.Generator, speed_mps: float, align: str, more: str = "") -> tuple[str, float, float]:
+def _rider(
+    rng: np.random.Generator, speed_mps: float, align: str, more: str = ""
+) -> tuple[str, float, float]:
     """A vType "rider", its length and its width."""
     vclass, length_m, width_m, height_m = _KINDS[int(rng.integers(len(_KINDS)))]
     text = (
@@ -201,7 +215,9 @@ def _overtaking_rider(rng: np.random.Generator) -> Draft:
     meets = int(np.argmax(left_m > rider_right_m + 0.04))
     touch_s, touch_m = float(way[meets, 0]), float(way[meets, 1])
     # by then the rider's front has come so far along the chair's side
-    begin_m = touch_m - AFT_M + rng.uniform(0.25, 0.6) * (length_m + AFT_M + FORE_M) - speed_mps * touch_s
+    begin_m = (
+        touch_m - AFT_M + rng.uniform(0.25, 0.6) * (length_m + AFT_M + FORE_M) - speed_mps * touch_s
+    )
     west_m = begin_m - length_m - 5.0
     routes = (
         f'{kind}\n<vehicle id="rider" type="rider" depart="0" departPos="{begin_m - west_m:.2f}" departSpeed="max" '
@@ -223,7 +239,10 @@ def _overtaking_rider(rng: np.random.Generator) -> Draft:
 
 
 def _scooter_cuts_in(rng: np.random.Generator) -> Draft:
-    """A rider passes on a track beside the path, which ends there: it cuts in in front of the chair and slows down."""
+    """A rider passes on a track beside the path, which ends there.
+
+    It cuts in in front of the chair and slows down.
+    """
     speed_mps, slow_mps = rng.uniform(3.2, 4.5), rng.uniform(0.25, 0.5)
     kind, length_m, _ = _rider(rng, speed_mps, "center", f' decel="{_DECEL_MPS2}"')
     width = rng.uniform(1.7, 2.2)
@@ -231,7 +250,8 @@ def _scooter_cuts_in(rng: np.random.Generator) -> Draft:
     start_m = (0.0, rng.uniform(-0.15, 0.15))
     stick = (Push(0.3, 0.0, forward),)
     front_m = float(predict_path(start_m, 90.0, stick, merge_s)[-1, 1]) + FORE_M
-    merge_m = front_m + rng.uniform(0.8, 1.5) + length_m  # where the rider's front is when it has cut in
+    # Where the rider's front is when it has cut in.
+    merge_m = front_m + rng.uniform(0.8, 1.5) + length_m
     begin_m = merge_m - _cut_in_m(speed_mps, slow_mps, merge_s)
     west_m, track_m = min(begin_m, 0.0) - length_m - 5.0, 0.5 * width + 0.6
     bend = f"{west_m:.2f},{track_m:.2f} {merge_m - 3.3:.2f},{track_m:.2f}"
@@ -279,7 +299,9 @@ _DOOR_M = 0.9
 _TRACK_M = 1.6  # a cycle path's width
 _STOPS_S, _BRAKE_MPS2 = 0.45, 1.5  # from seeing to braking, with the drive's ramp; and how hard
 _ARM_M = 40.0
-_CORNER_M = 2.0  # before the middle of the junction, along its way, a bus that turns comes to the line of the pavement
+# Before the middle of the junction, along its way, a bus that turns comes to the line of the
+# pavement.
+_CORNER_M = 2.0
 
 
 def _car_door(rng: np.random.Generator) -> Draft:
@@ -353,7 +375,10 @@ def _junction(pavement: Pavement, west_m: float) -> Place:
         f'<edge id="{arm}C" from="{arm}" to="C" type="{kind}"/>\n<edge id="C{arm}" from="C" to="{arm}" type="{kind}"/>'
         for (arm, _, _), kind in zip(arms, ("street", "street", "side", "side"), strict=True)
     ]
-    crossings = [f'<crossing node="C" edges="{arm}C C{arm}" priority="true" width="4"/>' for arm, _, _ in arms]
+    crossings = [
+        f'<crossing node="C" edges="{arm}C C{arm}" priority="true" width="4"/>'
+        for arm, _, _ in arms
+    ]
     side = pavement.types().replace('"street"', '"side"').replace('priority="3"', 'priority="1"')
     return Place(
         nodes=(*(Node(*arm) for arm in arms), Node("C", 0.0, 0.0)),
@@ -396,7 +421,10 @@ def _oncoming_pair(rng: np.random.Generator) -> Draft:
 
 _STOPS = '<stop lane="WE_0" startPos="{:.2f}" endPos="{:.2f}" duration="6"/><walk edges="WE"/>'
 _STANDS = '<walk edges="WE" speed="0.01"/>'
-"""A person who stands: SUMO puts aside who has a stop, by 2.4 m, and back into whoever is there by then."""
+"""A person who stands.
+
+SUMO puts aside who has a stop, by 2.4 m, and back into whoever is there by then.
+"""
 
 
 def _person_turns_round(rng: np.random.Generator, stands: str = _STANDS) -> Draft:
@@ -427,7 +455,10 @@ def _person_turns_round(rng: np.random.Generator, stands: str = _STANDS) -> Draf
 
 
 def _out_of_place(rng: np.random.Generator) -> Draft:
-    """The chair is where it does not belong, and its user pushes on: to a kerb, over one, or against who comes."""
+    """The chair is where it does not belong, and its user pushes on.
+
+    To a kerb, over one, or against who comes.
+    """
     pavement, x_m = Pavement(width_m=rng.uniform(2.0, 3.0)), rng.uniform(-30.0, -10.0)
     back_m, outer_y_m = rng.uniform(1.5, 3.0), pavement.outer_y_m
     grounds = (
@@ -440,8 +471,13 @@ def _out_of_place(rng: np.random.Generator) -> Draft:
     )
     number = int(rng.integers(len(grounds)))
     where, y_m, heading_deg = grounds[number]
-    sides = [house(name, span, outer_y_m) for name, span in (("w", (-45.0, x_m - 1.3)), ("e", (x_m + 1.3, 45.0)))]
-    place = pavement.street(*(sides if where == "in a drive" else ()), kerb_height_m=rng.uniform(0.08, 0.15))
+    sides = [
+        house(name, span, outer_y_m)
+        for name, span in (("w", (-45.0, x_m - 1.3)), ("e", (x_m + 1.3, 45.0)))
+    ]
+    place = pavement.street(
+        *(sides if where == "in a drive" else ()), kerb_height_m=rng.uniform(0.08, 0.15)
+    )
     kind, routes = _rider(rng, rng.uniform(3.2, 5.0), "center")[0], ""
     if number == len(grounds) - 1:
         beside = f'bikeLaneWidth="{_TRACK_M}" sidewalkWidth'
@@ -478,13 +514,16 @@ _DRAWN = MappingProxyType[str, Callable[[np.random.Generator], Draft]](
 )
 FAMILIES: tuple[str, ...] = tuple(_DRAWN)
 _NEW, _OLD = ("out-of-place",), ("person-turns-round",)
-LISTED = tuple(name for name in FAMILIES if name not in (*_NEW, *_OLD))  # of lists of version 2: leave new ones out
+# Of lists of version 2: leave new ones out.
+LISTED = tuple(name for name in FAMILIES if name not in (*_NEW, *_OLD))
 TRAINED = tuple(name for name in FAMILIES if name not in (*HELD_OUT["family"], *_OLD))
 """Families of which trainings draw scenes: none that is held out, or that has a newer version."""
 
 
 def family_of(seed: int) -> str:
-    """The family that a training's seed draws: each draws a lot of its own, so that a new one moves no other.
+    """The family that a training's seed draws.
+
+    Each draws a lot of its own, so that a new one moves no other.
 
     >>> family_of(3)
     'turning-beside-drop'
@@ -493,7 +532,9 @@ def family_of(seed: int) -> str:
 
 
 def write_scene(family: str, seed: int, folder: Path) -> Path:
-    """Write the scene of a family that a seed draws, whole or not at all: plain XML, a joystick and `scene.toml`.
+    """Write the scene of a family that a seed draws, whole or not at all.
+
+    Plain XML, a joystick and `scene.toml`.
 
     Args:
         family: One of `FAMILIES`.
@@ -509,7 +550,9 @@ def write_scene(family: str, seed: int, folder: Path) -> Path:
     """
     if family not in FAMILIES:
         known = ", ".join(FAMILIES)
-        raise ConfigError(f"unknown family of scenes {family!r}; expected one of: {known}{meant(family, FAMILIES)}")
+        raise ConfigError(
+            f"unknown family of scenes {family!r}; expected one of: {known}{meant(family, FAMILIES)}"
+        )
     if seed < 0:
         raise ConfigError(f"seed {seed} cannot be used; expected 0 or more")
     if folder.exists():
@@ -518,7 +561,9 @@ def write_scene(family: str, seed: int, folder: Path) -> Path:
     flipped = bool(rng.integers(2))
     draft = _DRAWN[family](rng)
     files = files_of(
-        mirrored(draft) if flipped else draft, f"{family}-{seed}", seeding.derive_seed(seed, "scene", family)
+        mirrored(draft) if flipped else draft,
+        f"{family}-{seed}",
+        seeding.derive_seed(seed, "scene", family),
     )
     with write_folder_atomically(folder, flush=False) as part:
         for name, text in files.items():

@@ -15,7 +15,19 @@ from wcsim.types import F64
 
 _DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's, for lanes that state none
 WIDEST_M = 60.0  # a wider lane is a slip of the pen
-_NUMBERS = ("shape", "outlineShape", "customShape", "x", "y", "z", "length", "width", "speed", "friction", "radius")
+_NUMBERS = (
+    "shape",
+    "outlineShape",
+    "customShape",
+    "x",
+    "y",
+    "z",
+    "length",
+    "width",
+    "speed",
+    "friction",
+    "radius",
+)
 _SINGLE = ("x", "y")
 _NO_Z = np.zeros(1)
 _WALKERS = {"pedestrian", "wheelchair"}
@@ -115,7 +127,8 @@ class Net:
     connections: tuple[Connection, ...]
     junctions: tuple[_Junction, ...]
     lefthand: bool = False  # traffic keeps to the left
-    phases: tuple[tuple[str, str], ...] = ()  # traffic light and state string of each phase that the net holds
+    # Traffic light and state string of each phase that the net holds.
+    phases: tuple[tuple[str, str], ...] = ()
     z_origin_m: float = 0.0  # the net's own height of W's z = 0
 
     @property
@@ -149,7 +162,10 @@ class Net:
     @property
     def speeds_mps(self) -> dict[str, float]:
         """The speed limit of each street for cars, by its edge."""
-        motor = ((e.id, [lane.speed_mps for lane in e.lanes if lane.kind is LaneKind.MOTOR]) for e in self.edges)
+        motor = (
+            (e.id, [lane.speed_mps for lane in e.lanes if lane.kind is LaneKind.MOTOR])
+            for e in self.edges
+        )
         return {edge: max(limits) for edge, limits in motor if limits and not edge.startswith(":")}
 
     @property
@@ -167,14 +183,22 @@ class Net:
 
 
 def read_net(path: Path, origin_m: tuple[int, int] = (0, 0)) -> Net:
-    """Read a .net.xml[.gz]; all points are moved by -origin_m. Raises TownError when it is not a net."""
+    """Read a .net.xml[.gz]; all points are moved by -origin_m.
+
+    Raises TownError when it is not a net.
+    """
     return net_of(read_root(path), str(path), origin_m)
 
 
 def net_of(root: Element, path: str, origin_m: tuple[int, int] = (0, 0)) -> Net:
-    """A net by its root element; messages call its file `path`. Raises TownError as `read_net` does."""
+    """A net by its root element; messages call its file `path`.
+
+    Raises TownError as `read_net` does.
+    """
     if root.tag != "net":
-        raise TownError(f"{path}: its root element is <{root.tag}>; expected <net>: build it with netconvert")
+        raise TownError(
+            f"{path}: its root element is <{root.tag}>; expected <net>: build it with netconvert"
+        )
     try:
         edges = tuple(_edge(element, origin_m) for element in root.iterfind("edge"))
         connections = tuple(_connection(element) for element in root.iterfind("connection"))
@@ -182,11 +206,23 @@ def net_of(root: Element, path: str, origin_m: tuple[int, int] = (0, 0)) -> Net:
         lefthand = is_true(root.get("lefthand", "0"))
     except (KeyError, ValueError) as error:
         scan_numbers(root, path)
-        raise TownError(f"{path}: is not a usable net ({error!r}); build it again with netconvert") from None
+        raise TownError(
+            f"{path}: is not a usable net ({error!r}); build it again with netconvert"
+        ) from None
     if not any(edge.lanes for edge in edges):
-        raise TownError(f"{path}: has no edge with lanes; expected a street net: build it with netconvert")
+        raise TownError(
+            f"{path}: has no edge with lanes; expected a street net: build it with netconvert"
+        )
     phases = read_phases(root)
-    return _levelled(Net(edges=edges, connections=connections, junctions=junctions, lefthand=lefthand, phases=phases))
+    return _levelled(
+        Net(
+            edges=edges,
+            connections=connections,
+            junctions=junctions,
+            lefthand=lefthand,
+            phases=phases,
+        )
+    )
 
 
 def scan_numbers(root: Element, where: str) -> None:
@@ -194,9 +230,13 @@ def scan_numbers(root: Element, where: str) -> None:
     for element in root.iter():
         for key in _NUMBERS:
             text = element.get(key)
-            if text is not None and not _all_finite([text] if key in _SINGLE else text.replace(",", " ").split()):
+            if text is not None and not _all_finite(
+                [text] if key in _SINGLE else text.replace(",", " ").split()
+            ):
                 told = f"<{element.tag} id={element.get('id')!r}> has {key}={text[:40]!r}"
-                raise TownError(f"{where}: {told}; expected numbers: correct it, or build the net again")
+                raise TownError(
+                    f"{where}: {told}; expected numbers: correct it, or build the net again"
+                )
 
 
 def _all_finite(parts: list[str]) -> bool:
@@ -214,7 +254,8 @@ def _levelled(net: Net) -> Net:
         return net
     origin_m = float(heights_m[len(heights_m) // 2])
     edges = tuple(
-        replace(edge, lanes=tuple(replace(lane, z_m=lane.z_m - origin_m) for lane in edge.lanes)) for edge in net.edges
+        replace(edge, lanes=tuple(replace(lane, z_m=lane.z_m - origin_m) for lane in edge.lanes))
+        for edge in net.edges
     )
     junctions = tuple(replace(junction, z_m=junction.z_m - origin_m) for junction in net.junctions)
     return replace(net, edges=edges, junctions=junctions, z_origin_m=origin_m)
@@ -235,7 +276,10 @@ def points(text: str, origin_m: tuple[int, int]) -> F64:
 
 
 def _shape(text: str, origin_m: tuple[int, int]) -> tuple[F64, F64]:
-    """A shape's points (K, 2), moved by -origin, and heights (K,), 0 where it states none. Raises ValueError."""
+    """A shape's points (K, 2), moved by -origin, and heights (K,), 0 where it states none.
+
+    Raises ValueError.
+    """
     rows = [(*part.split(","), "0")[:3] for part in text.split()]
     table = np.array(rows, dtype=np.float64).reshape(-1, 3)
     if not np.isfinite(table).all():
@@ -250,7 +294,9 @@ def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
         function="" if function == "normal" else function,
         start=element.get("from", ""),
         end=element.get("to", ""),
-        lanes=tuple(_lane(child, element, function, origin_m) for child in element.iterfind("lane")),
+        lanes=tuple(
+            _lane(child, element, function, origin_m) for child in element.iterfind("lane")
+        ),
         crossed=tuple(element.get("crossingEdges", "").split()),
     )
 
@@ -258,7 +304,8 @@ def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
 def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, int]) -> Lane:
     allow, disallow = _permissions(element)
     points_m, z_m = _shape(element.attrib["shape"], origin_m)
-    width_m = _finite(element.get("width", _DEFAULT_LANE_WIDTH_M))  # SUMO writes -1 for one that was not set
+    # SUMO writes -1 for one that was not set.
+    width_m = _finite(element.get("width", _DEFAULT_LANE_WIDTH_M))
     return Lane(
         id=element.attrib["id"],
         edge_id=edge.attrib["id"],
@@ -331,4 +378,6 @@ def _connection(element: Element) -> Connection:
 
 def _junction(element: Element, origin_m: tuple[int, int]) -> _Junction:
     outline_m, z_m = _shape(element.get("shape", ""), origin_m)
-    return _Junction(id=element.attrib["id"], kind=element.get("type", ""), outline_m=outline_m, z_m=z_m)
+    return _Junction(
+        id=element.attrib["id"], kind=element.get("type", ""), outline_m=outline_m, z_m=z_m
+    )

@@ -1,4 +1,7 @@
-"""What SUMO warns of: a file of its own, which is read while SUMO writes it and kept within a budget."""
+"""What SUMO warns of.
+
+A file of its own, which is read while SUMO writes it and kept within a budget.
+"""
 
 import os
 import re
@@ -12,7 +15,10 @@ _MOST_BYTES = 4 << 20  # of the file; what comes later is counted, not kept
 
 
 class WarningLog:
-    """The warnings of one simulation; those that differ in names and numbers alone are of one kind."""
+    """The warnings of one simulation.
+
+    Those that differ in names and numbers alone are of one kind.
+    """
 
     def __init__(self, path: str) -> None:
         """Begin with none; `path` is the file that SUMO writes, "" where it writes none."""
@@ -21,7 +27,10 @@ class WarningLog:
         self._path, self._done, self._rest = path, 0, b""
 
     def read(self) -> None:
-        """Count what has come since the last time. SUMO writes in blocks, and the last of them when it ends."""
+        """Count what has come since the last time.
+
+        SUMO writes in blocks, and the last of them when it ends.
+        """
         try:
             if os.path.getsize(self._path) <= self._done:  # noqa: PTH202 - in every step
                 return

@@ -1,4 +1,6 @@
-"""The walking network of a town: lanes, crossings and the ways between them, all where a wheelchair fits.
+"""The walking network of a town.
+
+Lanes, crossings and the ways between them, all where a wheelchair fits.
 
 Shortest ways that stay inside an area.
 """
@@ -13,7 +15,14 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane_geometry import Patches, buffered, cross_z, length_of, polygons_of, valid
+from wcsim.towns.ground.plane_geometry import (
+    Patches,
+    buffered,
+    cross_z,
+    length_of,
+    polygons_of,
+    valid,
+)
 from wcsim.towns.ground.surfaces import walkable_lanes
 from wcsim.towns.sumo.net import Lane, LaneKind, Net
 from wcsim.types import F64, SignalState, WalkEdge, WalkGraph, WayKind
@@ -25,7 +34,8 @@ _SLACK_M = 1e-4
 def shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None:
     """Shortest polyline (K, 2) from start to goal inside `area`, or None when they are in different parts of it.
 
-    A shortest way bends only at inward corners of the area, so a graph of those that see each other holds it.
+    A shortest way bends only at inward corners of the area, so a graph of those that see each other
+    holds it.
     """
     part = _part_with(area, start_m, goal_m)
     if part is None:
@@ -40,7 +50,9 @@ def shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None
     seen = shapely.covers(roomy, lines)
     graph = networkx.Graph()
     length_m = shapely.length(lines)
-    graph.add_weighted_edges_from(zip(i[seen].tolist(), j[seen].tolist(), length_m[seen].tolist(), strict=True))
+    graph.add_weighted_edges_from(
+        zip(i[seen].tolist(), j[seen].tolist(), length_m[seen].tolist(), strict=True)
+    )
     try:
         nodes = networkx.shortest_path(graph, 0, 1, weight="weight")
     except (networkx.NetworkXNoPath, networkx.NodeNotFound):
@@ -51,13 +63,19 @@ def shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None
 
 def _part_with(area: BaseGeometry, start_m: F64, goal_m: F64) -> Polygon | None:
     for part in shapely.get_parts(area):
-        if part.geom_type == "Polygon" and shapely.dwithin(part, shapely.points([start_m, goal_m]), _SLACK_M).all():
+        if (
+            part.geom_type == "Polygon"
+            and shapely.dwithin(part, shapely.points([start_m, goal_m]), _SLACK_M).all()
+        ):
             return part
     return None
 
 
 def _corners(part: Polygon) -> F64:
-    """Corners (n, 2) at which the free side turns away: the only ones a shortest way can bend at."""
+    """Corners (n, 2) at which the free side turns away.
+
+    The only ones a shortest way can bend at.
+    """
     for tolerance_m in (0.0, 0.02, 0.05, 0.1, 0.2):
         thinned = part.simplify(tolerance_m) if tolerance_m else part
         oriented = shapely.orient_polygons(thinned)  # outline counter-clockwise, holes clockwise
@@ -84,8 +102,13 @@ REACH_M = 1.5  # how far a way may leave the lane or walking area that it belong
 
 
 def free_space(walkable: BaseGeometry, kerbs: BaseGeometry, solids: BaseGeometry) -> BaseGeometry:
-    """Where the middle of a wheelchair may be: walkable ground without the strips along kerbs and walls."""
-    space = buffered(buffered(walkable, _SEAM_M, join_style="mitre"), -_SEAM_M - _SOFT_M, join_style="mitre")
+    """Where the middle of a wheelchair may be.
+
+    Walkable ground without the strips along kerbs and walls.
+    """
+    space = buffered(
+        buffered(walkable, _SEAM_M, join_style="mitre"), -_SEAM_M - _SOFT_M, join_style="mitre"
+    )
     for obstacle, gap_m in ((kerbs, KERB_M), (solids, _SOLID_M)):
         if not obstacle.is_empty:
             space = space.difference(buffered(obstacle, gap_m, quad_segs=2))
@@ -107,10 +130,13 @@ def build_walk_graph(
         space: Where the middle of a wheelchair may be.
         chair_ways: What counts as a way.
         phases: Those of all the programs of its traffic lights.
-        barred: Lines (n, 2) of ways on which walkers alone go; a lane is one of them where it lies on it for the most.
+        barred: Lines (n, 2) of ways on which walkers alone go; a lane is one of them where it lies
+            on it for the most.
     """
     builder = _Builder(space)
-    closed = Patches(shapely.union_all([shapely.LineString(line_m).buffer(_BESIDE_M) for line_m in barred]))
+    closed = Patches(
+        shapely.union_all([shapely.LineString(line_m).buffer(_BESIDE_M) for line_m in barred])
+    )
     for lane in _lanes(net, chair_ways):
         if barred and lane.is_line:
             line = shapely.LineString(lane.points_m)
@@ -130,7 +156,11 @@ def build_walk_graph(
 
 def _lanes(net: Net, chair_ways: tuple[str, ...]) -> list[Lane]:
     wanted = {LaneKind.SIDEWALK: "sidewalk", LaneKind.SHARED: "shared", LaneKind.BIKE: "cycleway"}
-    return [lane for lane in walkable_lanes(net, chair_ways) if wanted[lane.kind] in chair_ways and not lane.internal]
+    return [
+        lane
+        for lane in walkable_lanes(net, chair_ways)
+        if wanted[lane.kind] in chair_ways and not lane.internal
+    ]
 
 
 def _signals(net: Net) -> dict[str, tuple[str, tuple[int, ...]]]:
@@ -176,8 +206,12 @@ class _Builder:
         self._space = Patches(space)
         self._ends: dict[str, list[int]] = {}  # nodes by lane
 
-    def add_lane(self, lane: Lane, kind: WayKind, signal: tuple[str, tuple[int, ...]] = ("", ())) -> None:
-        """The way along a lane, as close to its middle as there is room; both its ends become nodes.
+    def add_lane(
+        self, lane: Lane, kind: WayKind, signal: tuple[str, tuple[int, ...]] = ("", ())
+    ) -> None:
+        """The way along a lane, as close to its middle as there is room.
+
+        Both its ends become nodes.
 
         Of a lane that cannot be passed, as far as one comes from either end.
         """
@@ -194,10 +228,16 @@ class _Builder:
                 self._add(lane.id, kind, both, way, lane.width_m, signal)
                 return
         for end, points_m in zip(ends, (lane.points_m, lane.points_m[::-1]), strict=True):
-            part = _first_part(local, np.concatenate([[end], points_m[1:]])) if end is not None else None
+            part = (
+                _first_part(local, np.concatenate([[end], points_m[1:]]))
+                if end is not None
+                else None
+            )
             if part is not None:
                 nodes.append(self._node(part[0]))
-                self._add(lane.id, kind, (nodes[-1], self._node(part[-1])), part, lane.width_m, signal)
+                self._add(
+                    lane.id, kind, (nodes[-1], self._node(part[-1])), part, lane.width_m, signal
+                )
 
     def link(self, area: Lane, lane_ids: list[str]) -> None:
         """Ways through a walking area, from each lane that ends in it to each other."""
@@ -208,10 +248,15 @@ class _Builder:
             for b in nodes[i + 1 :]:
                 way = shortest_inside(local, self.nodes[a], self.nodes[b]) if a != b else None
                 if way is not None:
-                    self._add(area.edge_id, WayKind.WALKINGAREA, (a, b), way, area.width_m, ("", ()))
+                    self._add(
+                        area.edge_id, WayKind.WALKINGAREA, (a, b), way, area.width_m, ("", ())
+                    )
 
     def _near(self, lane_id: str, outline: BaseGeometry) -> int:
-        return min(self._ends[lane_id], key=lambda node: shapely.distance(outline, shapely.points(self.nodes[node])))
+        return min(
+            self._ends[lane_id],
+            key=lambda node: shapely.distance(outline, shapely.points(self.nodes[node])),
+        )
 
     def _local(self, around: BaseGeometry) -> BaseGeometry:
         return self._space.near(around.bounds).intersection(around)
@@ -272,7 +317,9 @@ def _first_part(space: BaseGeometry, points_m: F64) -> F64 | None:
 def _largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:
     """Only the connected part with the greatest length; its nodes are numbered anew."""
     graph = networkx.Graph((edge.start, edge.end) for edge in edges)
-    part_of = {node: i for i, part in enumerate(networkx.connected_components(graph)) for node in part}
+    part_of = {
+        node: i for i, part in enumerate(networkx.connected_components(graph)) for node in part
+    }
     total_m: dict[int, float] = defaultdict(float)
     for edge in edges:
         total_m[part_of[edge.start]] += length_of(edge.points_W_m)

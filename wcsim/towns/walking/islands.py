@@ -1,4 +1,7 @@
-"""Walkable islands: pieces of pavement and footway without a way on foot to the rest of the town."""
+"""Walkable islands.
+
+Pieces of pavement and footway without a way on foot to the rest of the town.
+"""
 
 import re
 from collections import defaultdict
@@ -31,13 +34,16 @@ def stray_footways(net: Net, net_path: Path) -> frozenset[str]:
 def stray_ways(net: Net, net_path: Path, parts: list[BaseGeometry]) -> frozenset[str]:
     """The OpenStreetMap ways, by ids without a sign, that lie on islands only, those with vehicles on them too.
 
-    Islands are the `walkable_parts` of the net but the largest: a link that a carriageway covers is none for a chair.
+    Islands are the `walkable_parts` of the net but the largest: a link that a carriageway covers is
+    none for a chair.
     """
     sizes_m2 = {number: part.area for number, part in enumerate(parts)}
     return frozenset(_stray(net, net_path, _touching(net, parts), sizes_m2))
 
 
-def _stray(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[int, float]) -> dict[str, bool]:
+def _stray(
+    net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[int, float]
+) -> dict[str, bool]:
     """The ways without an edge in the largest part, and whether only walkers and riders use them."""
     main = max(sorted(sizes_m2), key=lambda part: sizes_m2[part], default=0)
     made_of = osm_ways_by_edge(net_path)
@@ -48,7 +54,10 @@ def _stray(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[int
             if part_of.get(edge.id, main) == main:
                 kept.add(way)
             else:
-                quiet = all(lane.kind in WALK_KINDS | {LaneKind.BIKE, LaneKind.CLOSED} for lane in edge.lanes)
+                quiet = all(
+                    lane.kind in WALK_KINDS | {LaneKind.BIKE, LaneKind.CLOSED}
+                    for lane in edge.lanes
+                )
                 stray[way] = stray.get(way, True) and quiet
     return {way: quiet for way, quiet in stray.items() if way not in kept}
 
@@ -56,7 +65,9 @@ def _stray(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[int
 def walkable_parts(net: Net, chair_ways: tuple[str, ...]) -> list[BaseGeometry]:
     """The connected parts of all pavements and crossings together."""
     surfaces = make_surfaces(on_land(net, fit_relief(net)), chair_ways)
-    joined = buffered(buffered(shapely.union_all([surfaces.pavement, surfaces.crossing]), 0.05), -0.05)
+    joined = buffered(
+        buffered(shapely.union_all([surfaces.pavement, surfaces.crossing]), 0.05), -0.05
+    )
     return polygons_of(joined)
 
 
@@ -77,7 +88,9 @@ def cut_off(net: Net, parts: list[BaseGeometry]) -> tuple[CutOff, ...]:
     for edge, part in sorted(_touching(net, parts).items()):
         if not edge.startswith(":"):
             edges.setdefault(part, edge)
-    return tuple(CutOff(edge=edges[part], area_m2=parts[part].area) for part in order[1:] if part in edges)
+    return tuple(
+        CutOff(edge=edges[part], area_m2=parts[part].area) for part in order[1:] if part in edges
+    )
 
 
 def largest_share(parts: list[BaseGeometry]) -> float:
@@ -108,13 +121,19 @@ def _linked(net: Net) -> tuple[dict[str, int], dict[int, float]]:
     """The part to which each walkable edge belongs, and the size of the parts."""
     walkable: dict[tuple[str, int], float] = {}
     for edge in net.edges:
-        walkable |= {(edge.id, lane.index): _area_m2(lane) for lane in edge.lanes if lane.kind in _WALKABLE}
+        walkable |= {
+            (edge.id, lane.index): _area_m2(lane) for lane in edge.lanes if lane.kind in _WALKABLE
+        }
     graph = networkx.Graph()
     graph.add_nodes_from(edge_id for edge_id, _ in walkable)
     for link in net.connections:
         if (link.start, link.start_lane) in walkable and (link.end, link.end_lane) in walkable:
             graph.add_edge(link.start, link.end)
-    part_of = {edge_id: part for part, edges in enumerate(networkx.connected_components(graph)) for edge_id in edges}
+    part_of = {
+        edge_id: part
+        for part, edges in enumerate(networkx.connected_components(graph))
+        for edge_id in edges
+    }
     sizes_m2: dict[int, float] = defaultdict(float)
     for (edge_id, _), area_m2 in walkable.items():
         sizes_m2[part_of[edge_id]] += area_m2
@@ -129,7 +148,10 @@ def _area_m2(lane: Lane) -> float:
 
 
 def osm_ways_by_edge(net_path: Path) -> dict[str, tuple[str, ...]]:
-    """The OpenStreetMap ways that each edge was made of: netconvert notes them, unless the edge bears the name."""
+    """The OpenStreetMap ways that each edge was made of.
+
+    Netconvert notes them, unless the edge bears the name.
+    """
     found: dict[str, tuple[str, ...]] = {}
     for edge in read_root(net_path).iterfind("edge"):
         noted = {

@@ -13,9 +13,11 @@ from wcsim.types import F64, I32, Bool, Route, WalkGraph, WayKind
 SPACING_M = 1.0  # of a route's points
 _START_MARGIN_M = 1.0  # no start lies at the very end of a pavement
 _CROSSING_COST_M = 10.0  # people walk this far round to save a crossing
-_NEVER_GREEN_COST_M = 10_000.0  # and round any town rather than wait at a light that no program frees
+# And round any town rather than wait at a light that no program frees.
+_NEVER_GREEN_COST_M = 10_000.0
 SOON_M = 80.0  # most ways of some hundred metres cross a road, but few episodes last until they do
-_SPUR_M, _SPUR_GAP_M, _SPUR_RATIO = 8.0, 0.7, 3.0  # a way that comes back to itself so soon and so near went nowhere
+# A way that comes back to itself so soon and so near went nowhere.
+_SPUR_M, _SPUR_GAP_M, _SPUR_RATIO = 8.0, 0.7, 3.0
 
 XY = tuple[float, float]
 
@@ -31,11 +33,15 @@ class Router:
         self._length_m = np.array([length_of(edge.points_W_m) for edge in walk.edges])  # (E,)
         self._lines = shapely.linestrings(
             np.concatenate([edge.points_W_m for edge in walk.edges]),
-            indices=np.repeat(np.arange(len(walk.edges)), [len(edge.points_W_m) for edge in walk.edges]),
+            indices=np.repeat(
+                np.arange(len(walk.edges)), [len(edge.points_W_m) for edge in walk.edges]
+            ),
         )
         self._tree = shapely.STRtree(self._lines)
         self._graph = self._weighted()
-        starts = np.array([e.kind is WayKind.SIDEWALK for e in walk.edges]) & (self._length_m > 2 * _START_MARGIN_M)
+        starts = np.array([e.kind is WayKind.SIDEWALK for e in walk.edges]) & (
+            self._length_m > 2 * _START_MARGIN_M
+        )
         self._starts = np.flatnonzero(starts if starts.any() else self._length_m > 0.0)
 
     def route(self, start_xy: XY, goal_xy: XY) -> Route:
@@ -65,7 +71,9 @@ class Router:
             if self.walk.edges[index].kind is WayKind.SIDEWALK:
                 line = self._lines[index]
                 middle_m = float(shapely.line_locate_point(line, point))
-                at_m = np.arange(max(0.0, middle_m - far_m), min(line.length, middle_m + far_m), SPACING_M)
+                at_m = np.arange(
+                    max(0.0, middle_m - far_m), min(line.length, middle_m + far_m), SPACING_M
+                )
                 found.append(shapely.get_coordinates(shapely.line_interpolate_point(line, at_m)))
         places = np.concatenate(found)
         away_m = np.hypot(*(places - xy).T)
@@ -87,12 +95,17 @@ class Router:
         return (float(here[0]), float(here[1])), yaw_rad
 
     def random_goal(
-        self, rng: np.random.Generator, start_xy: XY, min_m: float, max_m: float, crossing_share: float = 0.0
+        self,
+        rng: np.random.Generator,
+        start_xy: XY,
+        min_m: float,
+        max_m: float,
+        crossing_share: float = 0.0,
     ) -> XY:
         """A place on a pavement, min_m to max_m of way from `start_xy`, or as near to that as the town allows.
 
-        With the chance `crossing_share` it is one of those to which the way leads over a crossing within `SOON_M`,
-        where there are any.
+        With the chance `crossing_share` it is one of those to which the way leads over a crossing
+        within `SOON_M`, where there are any.
         """
         over_road = crossing_share > 0.0 and bool(rng.random() < crossing_share)
         reach_m, near_m, over = self._reach(start_xy, max_m)
@@ -121,7 +134,9 @@ class Router:
     def _weighted(self) -> networkx.MultiGraph:
         graph = networkx.Graph()
         for index, edge in enumerate(self.walk.edges):
-            cost_m = float(self._length_m[index]) + _CROSSING_COST_M * (edge.kind is WayKind.CROSSING)
+            cost_m = float(self._length_m[index]) + _CROSSING_COST_M * (
+                edge.kind is WayKind.CROSSING
+            )
             cost_m += _NEVER_GREEN_COST_M * edge.never_green
             known = graph.get_edge_data(edge.start, edge.end)
             if known is None or cost_m < known["weight"]:
@@ -131,7 +146,8 @@ class Router:
     def _reach(self, start_xy: XY, cutoff_m: float | None) -> tuple[dict[int, float], F64, Bool]:
         """Cost of the way from a point to each node, up to a limit, and to the nearer end of each edge of `_starts`.
 
-        The last of the three says to which of these edges the way leads over a crossing within `SOON_M`.
+        The last of the three says to which of these edges the way leads over a crossing within
+        `SOON_M`.
         """
         first, at_m = self._snap(start_xy)
         edge = self.walk.edges[first]
@@ -139,7 +155,9 @@ class Router:
         reach_m: dict[int, float] = {}
         over: dict[int, bool] = {}
         for node, offset_m in ends:
-            before, found = networkx.dijkstra_predecessor_and_distance(self._graph, node, cutoff=cutoff_m)
+            before, found = networkx.dijkstra_predecessor_and_distance(
+                self._graph, node, cutoff=cutoff_m
+            )
             crosses = {node: False}
             for other, cost_m in found.items():  # nearest first, so what lies before is known
                 if other != node:
@@ -161,10 +179,14 @@ class Router:
         return index, float(shapely.line_locate_point(self._lines[index], point))
 
     def _at(self, index: int, at_m: float) -> F64:
-        point: F64 = shapely.get_coordinates(shapely.line_interpolate_point(self._lines[index], at_m))[0]
+        point: F64 = shapely.get_coordinates(
+            shapely.line_interpolate_point(self._lines[index], at_m)
+        )[0]
         return point
 
-    def _through(self, first: int, first_m: float, last: int, last_m: float) -> list[tuple[int, F64]]:
+    def _through(
+        self, first: int, first_m: float, last: int, last_m: float
+    ) -> list[tuple[int, F64]]:
         """Pieces of the cheapest way over one end of the first and one end of the last edge."""
         a, b = self.walk.edges[first], self.walk.edges[last]
         graph = self._graph
@@ -174,12 +196,30 @@ class Router:
         graph.add_edge("goal", b.end, weight=max(0.0, float(self._length_m[last]) - last_m))
         nodes = networkx.shortest_path(graph, "start", "goal", weight="weight")[1:-1]
         graph.remove_nodes_from(("start", "goal"))
-        pieces = [(first, _part(a.points_W_m, first_m, 0.0 if nodes[0] == a.start else float(self._length_m[first])))]
+        pieces = [
+            (
+                first,
+                _part(
+                    a.points_W_m,
+                    first_m,
+                    0.0 if nodes[0] == a.start else float(self._length_m[first]),
+                ),
+            )
+        ]
         for node, following in pairwise(nodes):
             index = self._graph[node][following]["index"]
             edge = self.walk.edges[index]
             pieces.append((index, edge.points_W_m if edge.start == node else edge.points_W_m[::-1]))
-        pieces.append((last, _part(b.points_W_m, 0.0 if nodes[-1] == b.start else float(self._length_m[last]), last_m)))
+        pieces.append(
+            (
+                last,
+                _part(
+                    b.points_W_m,
+                    0.0 if nodes[-1] == b.start else float(self._length_m[last]),
+                    last_m,
+                ),
+            )
+        )
         return pieces
 
 
@@ -188,13 +228,18 @@ def _part(points_m: F64, from_m: float, to_m: float) -> F64:
     arc_m = arc_of(points_m)
     low_m, high_m = min(from_m, to_m), max(from_m, to_m)
     inner = points_m[(arc_m > low_m + 1e-9) & (arc_m < high_m - 1e-9)]
-    ends = np.array([[np.interp(at_m, arc_m, points_m[:, k]) for k in (0, 1)] for at_m in (low_m, high_m)])
+    ends = np.array(
+        [[np.interp(at_m, arc_m, points_m[:, k]) for k in (0, 1)] for at_m in (low_m, high_m)]
+    )
     part = np.concatenate([ends[:1], inner, ends[1:]])
     return part if from_m <= to_m else part[::-1]
 
 
 def _resampled(points_m: F64, edges: I32) -> Route:
-    """Corners kept, points put between them, doubles dropped; the edge is that of the piece that starts there."""
+    """Corners kept, points put between them, doubles dropped.
+
+    The edge is that of the piece that starts there.
+    """
     step_m = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
     kept = np.concatenate([step_m > 1e-6, [True]])
     if not kept[:-1].any():
@@ -203,7 +248,10 @@ def _resampled(points_m: F64, edges: I32) -> Route:
     points_m, edges = points_m[kept], edges[kept]
     corner_m = arc_of(points_m)
     count = np.maximum(1, np.ceil(np.diff(corner_m) / SPACING_M).astype(int))
-    fine = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(corner_m[:-1], corner_m[1:], count, strict=True)]
+    fine = [
+        np.linspace(a, b, n, endpoint=False)
+        for a, b, n in zip(corner_m[:-1], corner_m[1:], count, strict=True)
+    ]
     arc_m = np.concatenate([*fine, corner_m[-1:]])
     owner = np.concatenate([np.repeat(edges[:-1], count), edges[-1:]]).astype(np.int32)
     fine_m = np.column_stack([np.interp(arc_m, corner_m, points_m[:, k]) for k in (0, 1)])
@@ -222,14 +270,21 @@ def _without_spurs(points_m: F64, arc_m: F64) -> list[int]:
         reach = int(np.searchsorted(arc_m, arc_m[at] + _SPUR_M, side="right"))
         way_m = arc_m[at + 2 : reach] - arc_m[at]
         gap_m = np.linalg.norm(points_m[at + 2 : reach] - points_m[at], axis=1)
-        back = np.flatnonzero((gap_m > 1e-6) & (gap_m < _SPUR_GAP_M) & (way_m > _SPUR_RATIO * gap_m))
+        back = np.flatnonzero(
+            (gap_m > 1e-6) & (gap_m < _SPUR_GAP_M) & (way_m > _SPUR_RATIO * gap_m)
+        )
         at = at + 2 + int(back[-1]) if len(back) else at + 1
     return kept
 
 
 def edges_ahead(walk: WalkGraph, route: Route, arc_m: float) -> tuple[str, ...]:
-    """SUMO's edges of a route in their order, the first is that at `arc_m`: the graph knows the lanes of most."""
+    """SUMO's edges of a route in their order, the first is that at `arc_m`.
+
+    The graph knows the lanes of most.
+    """
     first = max(0, int(np.searchsorted(route.arc_m, arc_m, side="right")) - 1)
     pieces = (walk.edges[k] for k in route.edge_index[first:].tolist())
-    ids = (p.sumo_id if p.kind is WayKind.WALKINGAREA else p.sumo_id.rpartition("_")[0] for p in pieces)
+    ids = (
+        p.sumo_id if p.kind is WayKind.WALKINGAREA else p.sumo_id.rpartition("_")[0] for p in pieces
+    )
     return tuple(dict.fromkeys(ids))
