@@ -1,17 +1,8 @@
-"""Files of a scenario that name other files.
+"""Files of a scenario that name other files, to be read, included or written.
 
-What they write is led into one folder, what they read stays theirs.
-
-A file that writes nothing is left where it is; only one that does is copied, with nothing but those
-names changed.
-
-What the elements of SUMO's files say of other files: which attribute names one, to be read,
-included or written.
-
-Names of written files: all in one folder, none twice, none that leads anywhere else.
-
-The border of a scenario: files that lie outside of its folder are neither opened nor copied
-unasked.
+What they write goes into one folder, none twice. A file that writes nothing stays where it is. Only
+one that writes is copied, with nothing but those names changed. Files outside of the scenario's
+folder, its border, are neither opened nor copied unless its user permits it.
 """
 
 import os
@@ -48,6 +39,8 @@ _READ_PARAMETERS = ("device.fcd-replay.file", "device.fcd-replay.files")
 _WRITTEN = re.compile(r"(?i)^(dest|.*((?<!pro)file|output))$")
 _WRITTEN_PARAMETER = re.compile(r"(?i)^(.*[.-])?\s*\w*((?<!pro)files?|output)\s*$")
 _GRIDS = re.compile(r"((?i:grids|catalog|init|file)\s*=)(?!\s*(@?null|epsg:\d+)(\s|$))")
+# A path of these letters is spelt alike in every language.
+_PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")
 
 
 def check_inside(path: Path, border: Path | None, named_by: Path) -> None:
@@ -64,24 +57,20 @@ def check_inside(path: Path, border: Path | None, named_by: Path) -> None:
         raise TownError(
             f"{escape(named_by)}: names {escape(path)} ({error}); correct the name"
         ) from None
-    raise TownError(
-        f"{escape(named_by)}: names {escape(path)}, which is outside of its folder {escape(border)}; move it there "
-        f"and correct the name, or permit files elsewhere: {_trust(named_by)}"
-    )
-
-
-def _trust(named_by: Path) -> str:
-    """How a scenario is trusted; a copy of it is for every command."""
-    some = f"{_ALLOW} of wcsim town run and pave"
+    # Some commands trust a scenario as it is. A copy of it is for every command.
     if named_by.suffix != ".sumocfg":
-        return f"{some}, and of wcsim town import, which makes a copy for all others"
-    path, name = (
-        named_by.absolute(),
-        re.sub(r"[^A-Za-z0-9_-]", "_", named_by.absolute().parent.name)[:64] or "town",
-    )
-    return (
-        f"{some}, or a copy for all commands: wcsim town import --sumocfg {shlex.quote(escape(path, 4096))} "
-        f"--name {name} {_ALLOW}"
+        copy = ", and of wcsim town import, which makes a copy for all others"
+    else:
+        path_there = named_by.absolute()
+        name = re.sub(r"[^A-Za-z0-9_-]", "_", path_there.parent.name)[:64] or "town"
+        copy = (
+            ", or a copy for all commands: wcsim town import "
+            f"--sumocfg {shlex.quote(escape(path_there, 4096))} --name {name} {_ALLOW}"
+        )
+    raise TownError(
+        f"{escape(named_by)}: names {escape(path)}, which is outside of its folder "
+        f"{escape(border)}; move it there and correct the name, or permit files elsewhere: "
+        f"{_ALLOW} of wcsim town run and pave{copy}"
     )
 
 
@@ -90,8 +79,8 @@ def check_file(path: Path, border: Path | None, named_by: Path) -> None:
     check_inside(path, border, named_by)
     if not is_file(path):
         raise TownError(
-            f"{escape(named_by)}: names a file that does not exist: {escape(path)}; restore it or correct "
-            f"{escape(named_by.name)}"
+            f"{escape(named_by)}: names a file that does not exist: {escape(path)}; "
+            f"restore it or correct {escape(named_by.name)}"
         )
     if "," in str(path):
         raise TownError(
@@ -100,9 +89,7 @@ def check_file(path: Path, border: Path | None, named_by: Path) -> None:
 
 
 def with_included(files: Iterable[Path], border: Path | None) -> tuple[Path, ...]:
-    """Additional or route files, each followed by all that it includes.
-
-    What is met again is left out.
+    """Additional or route files, each followed by all that it includes, none twice.
 
     Args:
         files: As a scenario names them, plain or gzip-compressed.
@@ -112,10 +99,193 @@ def with_included(files: Iterable[Path], border: Path | None) -> tuple[Path, ...
         TownError: An included file is not there, is no XML, includes itself, or lies outside of the
             border.
     """
-    found: dict[Path, Path] = {}  # by where it really lies, for a file has many names
+    # The key is where a file really lies, for it may have many names.
+    found: dict[Path, Path] = {}
     for path in files:
         _follow(path, border, (), found)
     return tuple(found.values())
+
+
+class OutputNames:
+    """The files that a scenario writes into one folder, one for each file of its author."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises TownError for a folder whose name SUMO does not take for one."""
+        strange = sorted(set(str(folder)) & set(_SUMO_SPLITS_AT))
+        if strange:
+            raise TownError(
+                f"{folder}: SUMO cannot write to a path with {' '.join(strange)} in it; "
+                "choose another"
+            )
+        self.folder = folder
+        self._of_author: dict[str, Path] = {}
+        self._taken: set[str] = set()
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """All of them, sorted."""
+        return tuple(sorted(self._of_author.values()))
+
+    def place(self, author: str, base: Path, instead: str) -> Path:
+        """Where the file goes that the author named `author` in a file of the folder `base`.
+
+        Args:
+            author: As it is written; a path, a socket, or a name for the console.
+            base: The folder that relative names are taken from.
+            instead: The name to use when the author's has none that can be used.
+        """
+        key = os.path.normpath(base / author)
+        if key not in self._of_author:
+            name = _UNSAFE.sub("_", Path(author).name).strip("_.-")[-_MAX_LENGTH:].lstrip("_.-")
+            if author in ("stdout", "stderr", "-") or not name:
+                name = instead
+            self._of_author[key] = self.folder / self.unique(name)
+        return self._of_author[key]
+
+    def unique(self, name: str) -> str:
+        """The name, with a number in it when it is taken; it is taken from now on."""
+        stem, dot, endings = name.partition(".")
+        number, found = 1, name
+        while found.lower() in self._taken:
+            number += 1
+            found = f"{stem}-{number}{dot}{endings}"
+        self._taken.add(found.lower())
+        return found
+
+
+class FilteredFiles:
+    """The files of one scenario on their way into a folder."""
+
+    def __init__(self, folder: Path, border: Path | None) -> None:
+        """Begin with none.
+
+        Args:
+            folder: For what is written, and a folder in it for files that need changes.
+            border: The folder outside of which nothing is opened; None for none.
+        """
+        self.names = OutputNames(folder)
+        """Of what is written."""
+        self._copies = OutputNames(folder / self.names.unique(_COPIES))
+        self._border = border
+        self._done: dict[Path, Path] = {}
+        self.read: dict[Path, None] = {}
+        """Every file that was met, in that order."""
+        self.texts: dict[Path, None] = {}
+        """Those among them that are no XML."""
+        self.pictures: dict[Path, None] = {}
+        """What sumo-gui would show; nothing was looked at."""
+
+    def place(self, path: Path, named_by: Path) -> Path:
+        """The file itself when it writes nothing, else the filtered copy of it.
+
+        Raises:
+            TownError: it is not there, is no XML, includes itself, or lies outside of the border.
+        """
+        return self._place(path, named_by, ())
+
+    def place_option(self, option: SumoOption, path: Path, named_by: Path) -> Path:
+        """The file, or the filtered copy of it, that an option names to be read.
+
+        Raises TownError as `place` does.
+        """
+        if option.reads is Content.FOLDER:
+            check_inside(path, self._border, named_by)
+            return path.absolute()
+        place = self.place if option.reads is Content.XML else self.place_text
+        return place(path, named_by)
+
+    def place_text(self, path: Path, named_by: Path) -> Path:
+        """A file that SUMO reads as something else than XML, where it is.
+
+        Raises:
+            TownError: it is not there, is no regular file, is too large, or lies outside of the
+                border.
+        """
+        whole = self._note(path, named_by)
+        read_file_size(whole, SCENARIO)
+        self.texts[whole] = None
+        return whole
+
+    def _place(self, path: Path, named_by: Path, above: tuple[Path, ...]) -> Path:
+        whole = self._note(path, named_by)
+        below = _below(above, whole, str(named_by))
+        if whole not in self._done:
+            self._done[whole] = self._filtered(whole, below)
+        return self._done[whole]
+
+    def _note(self, path: Path, named_by: Path) -> Path:
+        whole = path.absolute()
+        check_file(whole, self._border, named_by)
+        self.read[whole] = None
+        return whole
+
+    def _filtered(self, path: Path, above: tuple[Path, ...]) -> Path:
+        # 1. Look through it. Most files name no other one, and are not parsed for that.
+        data, names = read_bytes(path, MAX_XML_BYTES), _NamesFiles(escape(path))
+        scan(data, escape(path), names)
+        plain = _PLAIN.fullmatch(str(path)) is not None
+        if plain and not names.found:
+            return path
+
+        # 2. Change the names in it.
+        root = without_namespaces(parse_root(data, escape(path)))
+        changes = [self._change(element, path, above) for element in root.iter()]
+        if plain and not any(changes):
+            return path
+
+        # 3. Write the copy. What it reads has to be found from another folder too.
+        for element in root.iter():
+            for key, value in element.attrib.items():
+                if value and ((element.tag, key) in _READ or key in _PICTURES):
+                    element.set(key, str((path.parent / value).absolute()))
+        name = _UNSAFE.sub("_", path.name.removesuffix(".gz"))[-_MAX_LENGTH:].lstrip(".")
+        place = self._copies.folder / self._copies.unique(name or "file.xml")
+        place.parent.mkdir(parents=True, exist_ok=True)
+        ElementTree.ElementTree(root).write(place, encoding="UTF-8", xml_declaration=True)
+        return place
+
+    def _change(self, element: Element, path: Path, above: tuple[Path, ...]) -> bool:
+        """Lead what an element writes into the folder, and what it reads to filtered files.
+
+        Returns:
+            Whether that changed it.
+        """
+        before = dict(element.attrib)
+        for key, value in before.items():
+            there = path.parent / value
+            if (element.tag, key) in _READ:
+                if value and (filtered := self._place(there, path, above)) != there.absolute():
+                    element.set(key, str(filtered))
+            elif key in _TEXTS:
+                element.set(key, str(self.place_text(there, path)))
+            elif key in _PICTURES:
+                self.pictures[there.absolute()] = None
+            elif _WRITTEN.match(key) and value not in NOWHERE:
+                element.set(key, str(self.names.place(value, path.parent, f"{element.tag}.xml")))
+        # A parameter is named by one attribute, and its file by another one.
+        if element.tag == "param" and before.get("value"):
+            key, value = element.get("key", ""), element.attrib["value"]
+            if _writes_parameter(key) and value not in NOWHERE:
+                written = self.names.place(value, path.parent, f"{key.strip()}.xml")
+                element.set("value", str(written))
+            elif _reads_parameter(key):
+                named = (path.parent / part.strip() for part in value.split(","))
+                read = [str(self._place(there, path, above)) for there in named]
+                element.set("value", ",".join(read))
+        return before != element.attrib
+
+
+def without_namespaces(root: Element) -> Element:
+    """The same tree with the bare names that SUMO uses, without attributes of other namespaces."""
+    for element in root.iter():
+        # The tag of a comment is no text.
+        tag: object = element.tag
+        if not isinstance(tag, str):
+            continue
+        element.tag = tag.rpartition("}")[2]
+        for key in [key for key in element.attrib if key.startswith("{")]:
+            del element.attrib[key]
+    return root
 
 
 def _follow(
@@ -157,57 +327,8 @@ def _included(path: Path) -> list[str]:
     return [name for name in names if name]
 
 
-class OutputNames:
-    """The files that a scenario writes into one folder.
-
-    Equal places of the author's are the same file here too.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        """Raises TownError for a folder whose name SUMO does not take for one."""
-        strange = sorted(set(str(folder)) & set(_SUMO_SPLITS_AT))
-        if strange:
-            raise TownError(
-                f"{folder}: SUMO cannot write to a path with {' '.join(strange)} in it; choose another"
-            )
-        self.folder = folder
-        self._of_author: dict[str, Path] = {}
-        self._taken: set[str] = set()
-
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """All of them, sorted."""
-        return tuple(sorted(self._of_author.values()))
-
-    def place(self, author: str, base: Path, instead: str) -> Path:
-        """Where the file goes that the author named `author` in a file of the folder `base`.
-
-        Args:
-            author: As it is written; a path, a socket, or a name for the console.
-            base: The folder that relative names are taken from.
-            instead: The name to use when the author's has none that can be used.
-        """
-        key = os.path.normpath(base / author)
-        if key not in self._of_author:
-            name = _UNSAFE.sub("_", Path(author).name).strip("_.-")[-_MAX_LENGTH:].lstrip("_.-")
-            if author in ("stdout", "stderr", "-") or not name:
-                name = instead
-            self._of_author[key] = self.folder / self.unique(name)
-        return self._of_author[key]
-
-    def unique(self, name: str) -> str:
-        """The name, with a number in it when it is taken; it is taken from now on."""
-        stem, dot, endings = name.partition(".")
-        number, found = 1, name
-        while found.lower() in self._taken:
-            number += 1
-            found = f"{stem}-{number}{dot}{endings}"
-        self._taken.add(found.lower())
-        return found
-
-
 class _NamesFiles:
-    """Goes through the elements of a file and says afterwards whether any of them names another file."""
+    """Goes through the elements of a file, and knows afterwards whether any names another file."""
 
     def __init__(self, where: str) -> None:
         self._where = where
@@ -220,40 +341,36 @@ class _NamesFiles:
             return
         odd = [key for key in attributes[::2] if _may_name(key.rpartition(":")[2])]
         self._plain.update(key for key in attributes[::2] if key not in odd)
-        if odd:
-            self._note(
-                tag.rpartition(":")[2], dict(zip(attributes[::2], attributes[1::2], strict=True))
-            )
+        if not odd:
+            return
 
-    def _note(self, tag: str, attributes: dict[str, str]) -> None:
-        """An element with an attribute that names a file, or may do so."""
-        emission, projection = (
-            attributes.get("emissionClass", ""),
-            attributes.get("projParameter", ""),
-        )
+        # It has an attribute that names a file, or may do so.
+        values = dict(zip(attributes[::2], attributes[1::2], strict=True))
+        emission = values.get("emissionClass", "")
         if ".." in emission or emission.startswith("/"):
             raise TownError(
-                f"{self._where}: has emissionClass={escape(emission, 60)!r}; expected a name: correct it"
+                f"{self._where}: has emissionClass={escape(emission, 60)!r}; "
+                "expected a name: correct it"
             )
+        projection = values.get("projParameter", "")
         if _GRIDS.search(projection):
-            told = escape(projection, 60)
             raise TownError(
-                f"{self._where}: has projParameter={told!r}, which names a file; expected one without"
+                f"{self._where}: has projParameter={escape(projection, 60)!r}, "
+                "which names a file; expected one without"
             )
-        for key, value in attributes.items():
+        is_parameter = tag.rpartition(":")[2] == "param"
+        for key, value in values.items():
             name = key.rpartition(":")[2]
             if name == "key":
-                self.found |= tag == "param" and (
-                    _writes_parameter(value) or _reads_parameter(value)
-                )
+                names_file = _writes_parameter(value) or _reads_parameter(value)
+                self.found |= is_parameter and names_file
             elif name not in ("emissionClass", "projParameter") and _may_name(name):
                 self.found = True
 
 
 def _may_name(key: str) -> bool:
-    return (
-        key in ("key", "href", "emissionClass", "projParameter") or _WRITTEN.match(key) is not None
-    )
+    special = key in ("key", "href", "emissionClass", "projParameter")
+    return special or _WRITTEN.match(key) is not None
 
 
 def _reads_parameter(key: str) -> bool:
@@ -264,153 +381,3 @@ def _reads_parameter(key: str) -> bool:
 def _writes_parameter(key: str) -> bool:
     """Whether the value of a <param> with this key names a file that SUMO writes."""
     return not _reads_parameter(key) and _WRITTEN_PARAMETER.match(key) is not None
-
-
-# Spelt alike in every language.
-_PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")
-
-
-class FilteredFiles:
-    """The files of one scenario on their way into a folder."""
-
-    def __init__(self, folder: Path, border: Path | None) -> None:
-        """Begin with none.
-
-        Args:
-            folder: For what is written, and a folder in it for files that need changes.
-            border: The folder outside of which nothing is opened; None for none.
-        """
-        self.names = OutputNames(folder)
-        """Of what is written."""
-        self._copies = OutputNames(folder / self.names.unique(_COPIES))
-        self._border = border
-        self._done: dict[Path, Path] = {}
-        self.read: dict[Path, None] = {}
-        """Every file that was met, in that order."""
-        self.texts: dict[Path, None] = {}
-        """Those among them that are no XML."""
-        self.pictures: dict[Path, None] = {}
-        """What sumo-gui would show; nothing was looked at."""
-
-    def place(self, path: Path, named_by: Path) -> Path:
-        """The file itself when it writes nothing, else the filtered copy of it.
-
-        Raises:
-            TownError: it is not there, is no XML, includes itself, or lies outside of the border.
-        """
-        return self._place(path, named_by, ())
-
-    def place_option(self, option: SumoOption, path: Path, named_by: Path) -> Path:
-        """The file, or the filtered copy of it, that an option names to be read.
-
-        Raises TownError as `place` does.
-        """
-        if option.reads is Content.FOLDER:
-            check_inside(path, self._border, named_by)
-            return path.absolute()
-        return (
-            self.place(path, named_by)
-            if option.reads is Content.XML
-            else self.place_text(path, named_by)
-        )
-
-    def place_text(self, path: Path, named_by: Path) -> Path:
-        """A file that SUMO reads as something else than XML, where it is.
-
-        Raises:
-            TownError: it is not there, is no regular file, is too large, or lies outside of the
-                border.
-        """
-        whole = self._note(path, named_by)
-        read_file_size(whole, SCENARIO)
-        self.texts[whole] = None
-        return whole
-
-    def _place(self, path: Path, named_by: Path, above: tuple[Path, ...]) -> Path:
-        whole = self._note(path, named_by)
-        below = _below(above, whole, str(named_by))
-        if whole not in self._done:
-            self._done[whole] = self._filtered(whole, below)
-        return self._done[whole]
-
-    def _note(self, path: Path, named_by: Path) -> Path:
-        whole = path.absolute()
-        check_file(whole, self._border, named_by)
-        self.read[whole] = None
-        return whole
-
-    def _filtered(self, path: Path, above: tuple[Path, ...]) -> Path:
-        data, names = read_bytes(path, MAX_XML_BYTES), _NamesFiles(escape(path))
-        scan(data, escape(path), names)
-        plain = _PLAIN.fullmatch(str(path)) is not None
-        if plain and not names.found:
-            return path
-        root = without_namespaces(parse_root(data, escape(path)))
-        changes = [self._change(element, path, above) for element in root.iter()]
-        if plain and not any(changes):
-            return path
-        for element in root.iter():
-            _make_absolute(element, path)
-        return self._copy(path, root)
-
-    def _change(self, element: Element, path: Path, above: tuple[Path, ...]) -> bool:
-        """Lead what an element writes into the folder, and what it reads to filtered files.
-
-        True if that changed it.
-        """
-        before = dict(element.attrib)
-        for key, value in before.items():
-            there = path.parent / value
-            if (element.tag, key) in _READ:
-                if value and (filtered := self._place(there, path, above)) != there.absolute():
-                    element.set(key, str(filtered))
-            elif key in _TEXTS:
-                element.set(key, str(self.place_text(there, path)))
-            elif key in _PICTURES:
-                self.pictures[there.absolute()] = None
-            elif _WRITTEN.match(key) and value not in NOWHERE:
-                element.set(key, str(self.names.place(value, path.parent, f"{element.tag}.xml")))
-        if element.tag == "param" and before.get("value"):
-            self._change_parameter(element, path, above)
-        return before != element.attrib
-
-    def _change_parameter(self, element: Element, path: Path, above: tuple[Path, ...]) -> None:
-        key, value = element.get("key", ""), element.attrib["value"]
-        if _writes_parameter(key) and value not in NOWHERE:
-            element.set("value", str(self.names.place(value, path.parent, f"{key.strip()}.xml")))
-        elif _reads_parameter(key):
-            found = [
-                self._place(path.parent / part.strip(), path, above) for part in value.split(",")
-            ]
-            element.set("value", ",".join(map(str, found)))
-
-    def _copy(self, path: Path, root: Element) -> Path:
-        name = (
-            _UNSAFE.sub("_", path.name.removesuffix(".gz"))[-_MAX_LENGTH:].lstrip(".") or "file.xml"
-        )
-        place = self._copies.folder / self._copies.unique(name)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        ElementTree.ElementTree(root).write(place, encoding="UTF-8", xml_declaration=True)
-        return place
-
-
-def _make_absolute(element: Element, path: Path) -> None:
-    """Names that are read are found from another folder too."""
-    for key, value in element.attrib.items():
-        if value and ((element.tag, key) in _READ or key in _PICTURES):
-            element.set(key, str((path.parent / value).absolute()))
-
-
-def without_namespaces(root: Element) -> Element:
-    """The same tree with the bare names that SUMO goes by.
-
-    Attributes of other namespaces are left out.
-    """
-    for element in root.iter():
-        tag: object = element.tag
-        if not isinstance(tag, str):  # a comment
-            continue
-        element.tag = tag.rpartition("}")[2]
-        for key in [key for key in element.attrib if key.startswith("{")]:
-            del element.attrib[key]
-    return root

@@ -70,10 +70,7 @@ class SumoOption:
 
     @property
     def treatment(self) -> Treatment:
-        """What may be done with it.
-
-        Whatever could write a file and is not known to read one counts as output.
-        """
+        """What may be done with it: what could write a file is output, unless known to read one."""
         if self.topic in _DROPPED_TOPICS or self.name in _DROPPED:
             return Treatment.DROP
         if self.kind != "FILE" and not (self.kind == "STR" and _WRITES.search(self.name)):
@@ -86,9 +83,8 @@ class SumoOption:
         """What an INPUT names; whatever is not known to be something else must be XML."""
         if self.name in _FOLDERS:
             return Content.FOLDER
-        return (
-            Content.TEXT if self.name in _TEXTS or self.name.endswith("input-file") else Content.XML
-        )
+        is_text = self.name in _TEXTS or self.name.endswith("input-file")
+        return Content.TEXT if is_text else Content.XML
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,10 +115,7 @@ class Configuration:
         return next((item.value for item in self.given if item.option.name == name), None)
 
     def number(self, name: str, otherwise: float) -> float:
-        """The number that the author gave an option.
-
-        `otherwise` where that is none: SUMO refuses it in its words.
-        """
+        """The number of an option; `otherwise` where its value is none, which SUMO refuses."""
         try:
             return float(self.value(name) or otherwise)
         except ValueError:
@@ -152,14 +145,13 @@ class Configuration:
 
     def files(self, name: str) -> tuple[Path, ...]:
         """The files that an option names."""
-        return next(
-            (item.files(self.path.parent) for item in self.given if item.option.name == name), ()
-        )
+        found = (item.files(self.path.parent) for item in self.given if item.option.name == name)
+        return next(found, ())
 
 
 @functools.cache
 def sumo_options() -> dict[str, SumoOption]:
-    """Every option of this SUMO by each of its spellings, from the template that SUMO writes of itself.
+    """Every option of this SUMO by each of its spellings, from the template that SUMO writes.
 
     Raises:
         SumoError: SUMO cannot be run.
@@ -168,9 +160,10 @@ def sumo_options() -> dict[str, SumoOption]:
         run = run_tool("sumo", ["--save-template", "options.xml"], folder, _LIMITS)
         if run.returncode:
             raise SumoError(
-                f"SUMO did not list its options: {run.reason()}; install the eclipse-sumo wheel again"
+                f"SUMO did not list its options: {run.reason()}; "
+                "install the eclipse-sumo wheel again"
             )
-        root = ElementTree.parse(folder / "options.xml").getroot()  # noqa: S314 - SUMO wrote it just now
+        root = ElementTree.parse(folder / "options.xml").getroot()  # noqa: S314 - SUMO wrote it
     found: dict[str, SumoOption] = {}
     for topic in root:
         for element in topic:
@@ -186,9 +179,7 @@ def sumo_options() -> dict[str, SumoOption]:
 
 
 def read_configuration(sumocfg: Path) -> Configuration:
-    """What a .sumocfg sets.
-
-    At any depth, by any spelling, as `value=`, as `v=`, or as text, as SUMO takes it.
+    """What a .sumocfg sets, read as SUMO reads it: at any depth and by any spelling.
 
     Raises:
         TownError: it is no configuration, or it names an option that SUMO does not have.
@@ -199,9 +190,12 @@ def read_configuration(sumocfg: Path) -> Configuration:
     known = sumo_options()
     given: dict[str, GivenOption] = {}
     for element in root.iter():
-        value = _value(element)
+        # A value is an attribute, or the text of an element without any other one in it.
+        text = (element.text or "").strip() if not len(element) else ""
+        value = element.get("value", element.get("v", text or None))
         if element is root or value is None:
             continue
+        value = value.strip()
         option = known.get(element.tag)
         if option is None:
             raise TownError(
@@ -220,10 +214,7 @@ def read_configuration(sumocfg: Path) -> Configuration:
 
 
 def _fits(option: SumoOption, value: str) -> bool:
-    """Whether a value is of its option's kind.
-
-    SUMO ignores one that is not, with a message that is easily missed.
-    """
+    """Whether a value is of its option's kind: SUMO ignores others, with hardly a message."""
     kind = option.kind
     if option.name in _NAME_PARTS:
         return re.fullmatch(r"[A-Za-z0-9_.-]+", value) is not None
@@ -237,11 +228,3 @@ def _fits(option: SumoOption, value: str) -> bool:
         return math.isfinite(float(value) if kind == "FLOAT" else int(value))
     except ValueError:
         return False
-
-
-def _value(element: ElementTree.Element) -> str | None:
-    for key in ("value", "v"):
-        if key in element.attrib:
-            return element.attrib[key].strip()
-    text = (element.text or "").strip()
-    return text if text and not len(element) else None
