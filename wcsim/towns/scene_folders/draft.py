@@ -175,7 +175,7 @@ def files_of(draft: Draft, name: str, seed: int) -> dict[str, str]:
 
 
 class Pavement(NamedTuple):
-    """The pavement south of a street that runs east; its kerb is on the left of an eastbound chair."""
+    """The pavement south of a street that runs east, with the kerb on its northern side."""
 
     width_m: float
 

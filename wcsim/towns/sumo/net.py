@@ -200,65 +200,52 @@ def net_of(root: Element, path: str, origin_m: tuple[int, int] = (0, 0)) -> Net:
             f"{path}: its root element is <{root.tag}>; expected <net>: build it with netconvert"
         )
     try:
-        edges = tuple(_edge(element, origin_m) for element in root.iterfind("edge"))
-        connections = tuple(_connection(element) for element in root.iterfind("connection"))
-        junctions = tuple(_junction(element, origin_m) for element in root.iterfind("junction"))
-        lefthand = is_true(root.get("lefthand", "0"))
+        net = Net(
+            edges=tuple(_edge(element, origin_m) for element in root.iterfind("edge")),
+            connections=tuple(_connection(element) for element in root.iterfind("connection")),
+            junctions=tuple(_junction(each, origin_m) for each in root.iterfind("junction")),
+            lefthand=is_true(root.get("lefthand", "0")),
+            phases=read_phases(root),
+        )
     except (KeyError, ValueError) as error:
         scan_numbers(root, path)
         raise TownError(
             f"{path}: is not a usable net ({error!r}); build it again with netconvert"
         ) from None
-    if not any(edge.lanes for edge in edges):
+    if not any(edge.lanes for edge in net.edges):
         raise TownError(
             f"{path}: has no edge with lanes; expected a street net: build it with netconvert"
         )
-    phases = read_phases(root)
-    return _levelled(
-        Net(
-            edges=edges,
-            connections=connections,
-            junctions=junctions,
-            lefthand=lefthand,
-            phases=phases,
-        )
-    )
 
-
-def scan_numbers(root: Element, where: str) -> None:
-    """Raise TownError that names the first element of a net with something else where a finite number belongs."""
-    for element in root.iter():
-        for key in _NUMBERS:
-            text = element.get(key)
-            if text is not None and not _all_finite(
-                [text] if key in _SINGLE else text.replace(",", " ").split()
-            ):
-                told = f"<{element.tag} id={element.get('id')!r}> has {key}={text[:40]!r}"
-                raise TownError(
-                    f"{where}: {told}; expected numbers: correct it, or build the net again"
-                )
-
-
-def _all_finite(parts: list[str]) -> bool:
-    try:
-        return all(math.isfinite(float(part)) for part in parts)
-    except ValueError:
-        return False
-
-
-def _levelled(net: Net) -> Net:
-    """The same net with heights counted from the middle one of its streets, so that a level town lies at 0."""
+    # Heights are counted from the middle one of the streets, so that a level town lies at 0.
     streets = [lane.z_m for edge in net.streets for lane in edge.lanes]
     heights_m = np.sort(np.concatenate([_NO_Z, *streets])[1 if streets else 0 :])
     if not heights_m.any():
         return net
-    origin_m = float(heights_m[len(heights_m) // 2])
+    level_m = float(heights_m[len(heights_m) // 2])
     edges = tuple(
-        replace(edge, lanes=tuple(replace(lane, z_m=lane.z_m - origin_m) for lane in edge.lanes))
+        replace(edge, lanes=tuple(replace(lane, z_m=lane.z_m - level_m) for lane in edge.lanes))
         for edge in net.edges
     )
-    junctions = tuple(replace(junction, z_m=junction.z_m - origin_m) for junction in net.junctions)
-    return replace(net, edges=edges, junctions=junctions, z_origin_m=origin_m)
+    junctions = tuple(replace(junction, z_m=junction.z_m - level_m) for junction in net.junctions)
+    return replace(net, edges=edges, junctions=junctions, z_origin_m=level_m)
+
+
+def scan_numbers(root: Element, where: str) -> None:
+    """Raise TownError that names the first element of a net with a number that is none."""
+    for element in root.iter():
+        for key in _NUMBERS:
+            text = element.get(key)
+            if text is None:
+                continue
+            try:
+                for part in [text] if key in _SINGLE else text.replace(",", " ").split():
+                    _finite(part)
+            except ValueError:
+                raise TownError(
+                    f"{where}: <{element.tag} id={element.get('id')!r}> has {key}={text[:40]!r}; "
+                    "expected numbers: correct it, or build the net again"
+                ) from None
 
 
 def read_phases(root: Element) -> tuple[tuple[str, str], ...]:
@@ -302,9 +289,14 @@ def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
 
 
 def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, int]) -> Lane:
-    allow, disallow = _permissions(element)
+    # SUMO's word "all" stands for every class, and -1 for a width that was not set.
+    words, disallow = element.get("allow"), frozenset(element.get("disallow", "").split())
+    allow = None if words in (None, "all") else frozenset((words or "").split())
+    if element.get("disallow", "") == "all":
+        allow, disallow = frozenset(), frozenset()
+    elif allow is not None:
+        disallow = frozenset()
     points_m, z_m = _shape(element.attrib["shape"], origin_m)
-    # SUMO writes -1 for one that was not set.
     width_m = _finite(element.get("width", _DEFAULT_LANE_WIDTH_M))
     return Lane(
         id=element.attrib["id"],
@@ -327,16 +319,6 @@ def _finite(text: str | float) -> float:
     if math.isfinite(value := float(text)):
         return value
     raise ValueError(f"{text!r} is not finite")
-
-
-def _permissions(element: Element) -> tuple[frozenset[str] | None, frozenset[str]]:
-    """Classes allowed (None: all but the others) and forbidden, SUMO's word "all" resolved."""
-    allow, disallow = element.get("allow"), element.get("disallow", "")
-    if disallow == "all":
-        return frozenset(), frozenset()
-    if allow is None or allow == "all":
-        return None, frozenset(disallow.split())
-    return frozenset(allow.split()), frozenset()
 
 
 def _lane_kind(function: str, allow: frozenset[str] | None) -> LaneKind:

@@ -67,7 +67,8 @@ def sumo_home() -> Path:
     places = list(spec.submodule_search_locations or ()) if spec is not None else []
     if not places or not (Path(places[0]) / "bin").is_dir():
         raise SumoError(
-            "the eclipse-sumo wheel is not installed; install it: pip install 'eclipse-sumo>=1.28,<1.29'"
+            "the eclipse-sumo wheel is not installed; install it: "
+            "pip install 'eclipse-sumo>=1.28,<1.29'"
         )
     return Path(places[0])
 
@@ -150,21 +151,18 @@ def _limit(child: subprocess.Popen[bytes], limits: Limits) -> None:
             continue
 
 
-def missing_library(said: str) -> str:
-    """What to do where the loader says that a library of the system is not there.
+def missing_library(output: str) -> str:
+    """What to do where the loader reports that a library of the system is not there; else "".
 
-    "" where it says nothing of the kind.
-
-    >>> missing_library("ImportError: libXrender.so.1: cannot open shared object file: No such file
-    or directory")[:35]
+    >>> missing_library("ImportError: libXrender.so.1: cannot open shared object file: No")[:35]
     'the library libXrender.so.1 is miss'
     >>> missing_library("cannot open shared object file")
     ''
     """
-    found = _NOT_FOUND.search(said)
+    found = _NOT_FOUND.search(output)
     if found is None:
         return ""
     return (
-        f"the library {found[1]} is missing; SUMO needs some libraries of the system. On Debian or Ubuntu: "
-        f"sudo apt install {SYSTEM_PACKAGES}"
+        f"the library {found[1]} is missing; SUMO needs some libraries of the system. "
+        f"On Debian or Ubuntu: sudo apt install {SYSTEM_PACKAGES}"
     )

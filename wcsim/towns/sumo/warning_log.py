@@ -41,10 +41,12 @@ class WarningLog:
             # SUMO goes on at the place where it was, so the file stays short and gets a hole.
             if self._done > _MOST_BYTES:
                 os.truncate(self._path, _MOST_BYTES)
-        except OSError:  # it is not there: there never was one, or somebody has removed it
+        # It is not there: there never was one, or it was removed.
+        except OSError:
             return
         lines, _, self._rest = (self._rest + data).rpartition(b"\n")
-        for told in re.findall("Warning: (.*)", lines.decode(errors="replace")):
+        for message in re.findall("Warning: (.*)", lines.decode(errors="replace")):
             self.count += 1
             if len(self.first) < 20:
-                self.first.setdefault(re.sub(r"'[^']*'|-?\d[\d.]*", "", told), escape(told[:160]))
+                kind = re.sub(r"'[^']*'|-?\d[\d.]*", "", message)
+                self.first.setdefault(kind, escape(message[:160]))

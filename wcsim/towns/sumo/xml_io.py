@@ -1,10 +1,9 @@
-"""Reading XML that others wrote, and writing compressed XML whose bytes depend on nothing but the content.
+"""Reading XML of any author, and writing compressed XML whose bytes depend on the content alone.
 
-SUMO reads XML with another parser than this process. What passes here means the same to both: XML
-1.0 in an encoding that holds ASCII as it is, without a document type, nested as deep as a scenario
-needs.
+SUMO has another parser than this process. What passes here means the same to both: XML 1.0 in an
+encoding that holds ASCII as it is, without a document type, nested as deep as a scenario needs.
 
-gzip and bzip2 files are unpacked here too: never more than was asked for, in a time that the
+gzip and bzip2 files are unpacked here too: never more than was requested, in a time that the
 result's size bounds.
 """
 
@@ -23,18 +22,19 @@ from xml.parsers import expat
 from wcsim.core.reading import XML, escape, open_regular_file
 from wcsim.errors import TownError
 
-# Packed one behind the other in a file; those who pack in blocks of 64 KiB need 16 for a MiB.
+# A file may have so many packed members. One that is packed in blocks of 64 KiB has 16 for a MiB.
 MAX_MEMBERS = 1 << 15
 _CHUNK_BYTES = 1 << 16
 _GZIP = b"\x1f\x8b"
 MAX_XML_BYTES = XML.limit_bytes
 MAX_NESTING = 100  # elements inside each other; SUMO's own files need ten
 MAX_TAGS = 10_000_000  # each takes memory, however short it is
-# Of one tag, comment or text; parsers that get a file in pieces begin each of them anew.
+# The limit of one tag, comment or text: parsers that get a file in pieces begin each of them anew.
 MAX_TAG_BYTES = 1 << 20
 _SPACE = re.compile(rb"\s*")
 _DECLARATION = re.compile(
-    rb"""<\?xml\s+version\s*=\s*(["'])1\.0\1(?:\s+encoding\s*=\s*(["'])(?P<encoding>[A-Za-z0-9._-]+)\2)?"""
+    rb"""<\?xml\s+version\s*=\s*(["'])1\.0\1"""
+    rb"""(?:\s+encoding\s*=\s*(["'])(?P<encoding>[A-Za-z0-9._-]+)\2)?"""
     rb"""(?:\s+standalone\s*=\s*(["'])(?:yes|no)\4)?\s*\?>"""
 )
 _ENCODING = re.compile(
@@ -71,10 +71,7 @@ class _Gunzip:
 
 
 def unpack(file: BinaryIO, most: int) -> bytes:
-    """The first `most` bytes of what a gzip, bzip2 or plain file holds.
-
-    Raises as `_unpack` when it is broken.
-    """
+    """The first `most` bytes of what a gzip, bzip2 or plain file holds. Raises as `_unpack`."""
     head = file.read(3)
     file.seek(0)
     if head == b"BZh":
@@ -120,7 +117,8 @@ def read_bytes(path: Path, limit: int = MAX_XML_BYTES) -> bytes:
     data = read_head(path, limit + 1)
     if len(data) > limit:
         raise TownError(
-            f"{escape(path)}: more than {limit >> 20} MiB of XML; expected less: clip it to a smaller area"
+            f"{escape(path)}: more than {limit >> 20} MiB of XML; expected less: "
+            "clip it to a smaller area"
         )
     return data
 
@@ -201,12 +199,11 @@ def scan(data: bytes, where: str, visit: Visit) -> None:
 
 
 def check_plain_xml(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
-    """Refuse what one parser may read in another way than the next one, or only in a very long time.
+    """Refuse what parsers may read in different ways, or only in a very long time.
 
     That is: another encoding than UTF-8, ASCII, or one of their 8-bit relatives, whatever the
-    declaration says; another
-    version of XML, where more letters are blanks; document types, whose entities hide or blow up;
-    and endless tags.
+    declaration says; another version of XML, where more letters are blanks; document types, whose
+    entities hide or blow up; and endless tags.
 
     Raises:
         TownError: It is so.
@@ -215,7 +212,8 @@ def check_plain_xml(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
     head = start[:MAX_TAG_BYTES].lstrip(_BLANKS)
     if head[:1] != b"<" or b"\0" in data:
         raise TownError(
-            f"{where}: is not well-formed XML in UTF-8, expected to begin with <; export or build it again"
+            f"{where}: is not well-formed XML in UTF-8, expected to begin with <; "
+            "export or build it again"
         )
     if _DECLARED.match(head):
         found = _DECLARATION.match(head)
@@ -239,7 +237,8 @@ def check_plain_xml(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
         for place in range(0, len(start) - MAX_TAG_BYTES, MAX_TAG_BYTES)
     ):
         raise TownError(
-            f"{where}: has a tag or a text of more than {MAX_TAG_BYTES} bytes; expected shorter ones: remove it"
+            f"{where}: has a tag or a text of more than {MAX_TAG_BYTES} bytes; "
+            "expected shorter ones: remove it"
         )
 
 
@@ -249,7 +248,8 @@ def _malformed(where: str, error: Exception) -> TownError:
 
 def _too_deep(where: str) -> TownError:
     return TownError(
-        f"{where}: has elements more than {MAX_NESTING} levels inside each other; remove the innermost"
+        f"{where}: has elements more than {MAX_NESTING} levels inside each other; "
+        "remove the innermost"
     )
 
 
@@ -264,7 +264,7 @@ def without_comments(data: bytes) -> bytes:
 
 
 def write_gzip(path: Path, data: bytes) -> None:
-    """Write `data` gzip-compressed, without a time stamp or file name, so that equal content gives equal bytes."""
+    """Write `data` gzip-compressed, without a time stamp or file name: equal data, equal bytes."""
     with (
         path.open("wb") as raw,
         gzip.GzipFile("", "wb", compresslevel=9, fileobj=raw, mtime=0) as file,

@@ -1,7 +1,4 @@
-"""Starts where a chair does not belong.
-
-Before a kerb, below or above it, in a gutter, on grass, in a drive.
-"""
+"""Starts where a chair does not belong: before a kerb, in a gutter, on grass, in a drive."""
 
 import math
 from typing import Final
