@@ -107,10 +107,7 @@ def unpack_street(packed: Packed) -> Street:
 
 
 class _PreadFile(io.RawIOBase):
-    """An open file for reading.
-
-    Its place is this object's own, where a descriptor's is shared with every copy.
-    """
+    """An open file for reading, at a place of its own: a descriptor's is shared by all copies."""
 
     def __init__(self, path: Path) -> None:
         """Raises OSError when it cannot be opened."""
@@ -135,7 +132,8 @@ class _PreadFile(io.RawIOBase):
         self._at = at
         return at
 
-    def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]  # typeshed: any writable buffer
+    # In typeshed it takes any writable buffer.
+    def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]
         """Read what fits, from the place on; 0 at the end."""
         count = os.preadv(self._fd, [buffer], self._at)
         self._at += count
@@ -154,16 +152,16 @@ def cached_street(key: str, build: Callable[[], Packed]) -> Street:
     found = _read(path)
     if found is not None:
         return found
-    with hold_file_lock(path.with_suffix(".lock")):  # worlds that begin together build it once
-        found = _read(path)  # another process may have built it meanwhile
+    # Worlds that start together build it once: another process may have done so meanwhile.
+    with hold_file_lock(path.with_suffix(".lock")):
+        found = _read(path)
         if found is not None:
             return found
         packed = build()
         with suppress(DiskFullError), write_file_atomically(path) as part:
             np.savez(part, allow_pickle=False, **packed)
-    return _read(path) or unpack_street(
-        packed
-    )  # from the file, if there is one, so that only what is used is in memory
+    # It is read from the file, if there is one, so that only what is used is in memory.
+    return _read(path) or unpack_street(packed)
 
 
 def _read(path: Path) -> Street | None:

@@ -1,9 +1,7 @@
 """What each kind of street furniture looks like, in a frame of its own.
 
-X along its long side, y its front, z up.
-
-Height 0 is the ground; whatever stands on it reaches a little deeper, because ground falls at
-crossings and on hills.
+x is along its long side, y its front, z up. Height 0 is the ground. Whatever stands on it reaches a
+little deeper, because ground falls at crossings and on hills.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,6 +19,7 @@ FOOT_M = -0.25  # how deep things reach into the ground
 
 Make = Callable[[np.random.Generator], list[Solid]]
 _HERE = np.zeros(2)
+_BIKE = ClassId.BICYCLE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +92,6 @@ def _leaning(side: float) -> Solid:
     return replace(board, vertices_W_m=corners)
 
 
-_BIKE = ClassId.BICYCLE
 _PLAIN_BICYCLE = solid_shapes.joined(
     [
         *(solid_shapes.disc(x, 0.34, 0.05, _BIKE, sides=6) for x in (-0.54, 0.54)),
@@ -109,17 +107,12 @@ def _read_looks() -> Iterator[tuple[str, _FurnitureModel]]:
     """The models of `models.toml` with their kinds."""
     for kind, look in read_module_toml(__file__).items():
         length_m, width_m, height_m = look["size"]
-        pieces = (
-            _placed(row, (x, y)) for row in look["pieces"] for x, y in row.get("at", [(0.0, 0.0)])
-        )
-        yield (
-            kind,
-            _FurnitureModel(
-                size_lwh_m=(length_m, width_m, height_m),
-                pieces=list(pieces),
-                round=look.get("round", False),
-            ),
-        )
+        pieces: list[Solid] = []
+        for row in look["pieces"]:
+            pieces += [_placed(row, (x, y)) for x, y in row.get("at", [(0.0, 0.0)])]
+        size_lwh_m = (length_m, width_m, height_m)
+        is_round = look.get("round", False)
+        yield kind, _FurnitureModel(size_lwh_m=size_lwh_m, pieces=pieces, round=is_round)
 
 
 def _placed(row: dict[str, Any], at: tuple[float, float]) -> Solid:
@@ -130,14 +123,11 @@ def _placed(row: dict[str, Any], at: tuple[float, float]) -> Solid:
     if "disc" in row:
         x_m, radius_m, thick_m = row["disc"]
         return solid_shapes.disc(x_m, radius_m, thick_m, ClassId[row["class"]])
+    class_id = ClassId[row.get("class", "STATIC")]
     if "spindle" in row:
-        return solid_shapes.spindle(
-            np.array(at), row["spindle"], ClassId[row.get("class", "STATIC")], sides=6
-        )
+        return solid_shapes.spindle(np.array(at), row["spindle"], class_id, sides=6)
     length_m, width_m, height_m = row["box"]
-    return _box(
-        (length_m, width_m, height_m), ClassId[row.get("class", "STATIC")], at, row.get("low_m")
-    )
+    return _box((length_m, width_m, height_m), class_id, at, row.get("low_m"))
 
 
 LOOKS = dict(_read_looks())

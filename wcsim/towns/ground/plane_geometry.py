@@ -20,7 +20,7 @@ _ARC = 16  # segments a quarter circle: shapely's own
 def cross_z(a: F64, b: F64) -> F64:
     """Upward component (...,) of the cross product of plane vectors (..., 2).
 
-    Positive when b lies to the left of a.
+    It is positive when b lies to the left of a.
 
     >>> float(cross_z(np.array([1.0, 0.0]), np.array([0.0, 2.0])))
     2.0

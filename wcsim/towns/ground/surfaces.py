@@ -1,6 +1,4 @@
-"""What the ground of a town is, as polygons: road, crossings, pavement, and the rest.
-
-Carriageway, crossings, pavement, and the rest inside the town's edge.
+"""What the ground of a town is, as polygons: carriageway, crossings, pavement, and the rest.
 
 Squares are pavement. Car parks are paved too, and so is the ground between the houses of a town.
 """

@@ -1,7 +1,4 @@
-"""A scenario on its way into a world.
-
-Filtered copies in the run folder, the author's own files untouched.
-"""
+"""A scenario on its way into a world: copies in the run folder; its author's files stay."""
 
 import hashlib
 import re

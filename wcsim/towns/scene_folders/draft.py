@@ -57,8 +57,8 @@ class _Thing(NamedTuple):
 class Push(NamedTuple):
     """A joystick from a second on, until the next one.
 
-    In steps of a quarter, which are actions of every action set: who only follows then does what
-    the user asks for.
+    It is in steps of a quarter, which are actions of every action set: an agent that only follows
+    then does exactly what the user requests.
     """
 
     at_s: float

@@ -135,10 +135,7 @@ def _reversing_off_kerb(rng: np.random.Generator) -> Draft:
 
 
 def _turning_beside_drop(rng: np.random.Generator) -> Draft:
-    """The chair stands or drives along the kerb, and the user turns it there.
-
-    Forwards over it, or back over it.
-    """
+    """The chair is turned beside the kerb, over it or, backing up, back over it."""
     pavement = Pavement(width_m=rng.uniform(2.0, 3.0))
     backs_up = bool(rng.integers(2))
     start_m = (rng.uniform(-20.0, 0.0), pavement.at(rng.uniform(0.5, 0.75)))
@@ -208,10 +205,7 @@ def _twisted_ramp(rng: np.random.Generator) -> Draft:
 
 
 def _footplate_swing(rng: np.random.Generator) -> Draft:
-    """The chair stands along a wall, and the user turns it on the spot.
-
-    The footplate swings out into the wall.
-    """
+    """The chair stands along a wall and turns on the spot: its footplate swings into the wall."""
     pavement = Pavement(width_m=rng.uniform(2.6, 3.4))
     wall_y_m = pavement.at(pavement.width_m - rng.uniform(0.2, 0.5))
     start_m = (rng.uniform(-20.0, 0.0), wall_y_m + rng.uniform(0.45, 0.62))

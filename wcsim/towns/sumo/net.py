@@ -289,13 +289,15 @@ def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
 
 
 def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, int]) -> Lane:
-    # SUMO's word "all" stands for every class, and -1 for a width that was not set.
-    words, disallow = element.get("allow"), frozenset(element.get("disallow", "").split())
-    allow = None if words in (None, "all") else frozenset((words or "").split())
-    if element.get("disallow", "") == "all":
-        allow, disallow = frozenset(), frozenset()
-    elif allow is not None:
-        disallow = frozenset()
+    # A lane that allows some classes forbids the rest. SUMO's word "all" stands for every class,
+    # and -1 for a width that was not set.
+    allow: frozenset[str] | None = None
+    allowed, forbidden = element.get("allow", "all"), element.get("disallow", "")
+    if forbidden == "all":
+        allow = frozenset()
+    elif allowed != "all":
+        allow = frozenset(allowed.split())
+    disallow = frozenset(forbidden.split() if allow is None else ())
     points_m, z_m = _shape(element.attrib["shape"], origin_m)
     width_m = _finite(element.get("width", _DEFAULT_LANE_WIDTH_M))
     return Lane(

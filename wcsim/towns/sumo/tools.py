@@ -1,7 +1,4 @@
-"""SUMO's command line tools as children, with limits on time and memory.
-
-The end of their output is kept.
-"""
+"""SUMO's command line tools as children, with limits on time and memory."""
 
 import importlib.util
 import os
@@ -96,10 +93,8 @@ def run_tool(
 
 
 def by_file(lists: Mapping[str, Sequence[str]], config: Path) -> list[str]:
-    """Words that give a tool lists of names by option, in the new file `config`.
-
-    A word has room for 128 KiB only.
-    """
+    """Words that give a tool lists of names by option, in the new file `config`."""
+    # A word has room for 128 KiB only.
     options = (
         f"<{option} value={quoteattr(','.join(names))}/>"
         for option, names in lists.items()

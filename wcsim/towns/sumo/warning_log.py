@@ -1,7 +1,4 @@
-"""What SUMO warns of.
-
-A file of its own, which is read while SUMO writes it and kept within a budget.
-"""
+"""What SUMO warns of: a file that is read while SUMO writes it, and that stays small."""
 
 import os
 import re
@@ -15,10 +12,7 @@ _MOST_BYTES = 4 << 20  # of the file; what comes later is counted, not kept
 
 
 class WarningLog:
-    """The warnings of one simulation.
-
-    Those that differ in names and numbers alone are of one kind.
-    """
+    """The warnings of one simulation; those that differ in names and numbers are of one kind."""
 
     def __init__(self, path: str) -> None:
         """Begin with none; `path` is the file that SUMO writes, "" where it writes none."""

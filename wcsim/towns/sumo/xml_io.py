@@ -158,11 +158,8 @@ def parse_root(data: bytes, where: str) -> ElementTree.Element:
 
 
 def xml_bytes(root: ElementTree.Element) -> bytes:
-    """XML text in UTF-8 with a declaration, as `ElementTree.tostring` gives it for that encoding.
-
-    Made as text and encoded at once: the library encodes each word on its own, which takes twice as
-    long.
-    """
+    """XML text in UTF-8 with a declaration, as `ElementTree.tostring` gives it for that one."""
+    # The library encodes each word on its own, which takes twice as long.
     text: str = ElementTree.tostring(root, encoding="unicode")
     return b"<?xml version='1.0' encoding='utf-8'?>\n" + text.encode("utf-8", "xmlcharrefreplace")
 

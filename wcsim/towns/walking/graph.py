@@ -38,7 +38,7 @@ _WAY_NAMES = {LaneKind.SIDEWALK: "sidewalk", LaneKind.SHARED: "shared", LaneKind
 
 
 def free_space(walkable: BaseGeometry, kerbs: BaseGeometry, solids: BaseGeometry) -> BaseGeometry:
-    """Walkable ground without the strips along kerbs and walls: the middle of a chair fits there."""
+    """Walkable ground without the strips along kerbs and walls, for the middle of a chair."""
     joined = buffered(walkable, _SEAM_M, join_style="mitre")
     space = buffered(joined, -_SEAM_M - _SOFT_M, join_style="mitre")
     for obstacle, gap_m in ((kerbs, KERB_M), (solids, _SOLID_M)):
@@ -148,9 +148,9 @@ class _Builder:
     def add_lane(
         self, lane: Lane, kind: WayKind, signal: tuple[str, tuple[int, ...]] = ("", ())
     ) -> None:
-        """The way along a lane, as close to its middle as there is room; its ends become nodes.
+        """Add the way along a lane, near its middle where there is room; its ends become nodes.
 
-        Of a lane that cannot be passed, as far as one comes from either end.
+        A lane that cannot be passed has a way from either end, as far as one gets.
         """
         if not lane.is_line:
             return

@@ -141,10 +141,7 @@ def _area_m2(lane: Lane) -> float:
 
 
 def osm_ways_by_edge(net_path: Path) -> dict[str, tuple[str, ...]]:
-    """The OpenStreetMap ways that each edge was made of.
-
-    Netconvert notes them, unless the edge bears the name.
-    """
+    """The OpenStreetMap ways of each edge: netconvert notes them, unless its name is one."""
     found: dict[str, tuple[str, ...]] = {}
     for edge in read_root(net_path).iterfind("edge"):
         noted = {

@@ -102,7 +102,7 @@ class Router:
         max_m: float,
         crossing_share: float = 0.0,
     ) -> XY:
-        """A place on a pavement, min_m to max_m of way from `start_xy`, or nearly as the town is.
+        """A place on a pavement, min_m to max_m of way from `start_xy`, or as near as there is one.
 
         With the chance `crossing_share` it is one of those to which the way leads over a crossing
         within `SOON_M`, where there are any.
