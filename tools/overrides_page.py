@@ -74,7 +74,7 @@ error. Hooks are loaded from the command line only: a town cannot name one.
 
 def page() -> str:
     """The page, in Markdown."""
-    rows = [(f"`{rule.option}`", rule.says, rule.why) for rule in RULES]
+    rows = [(f"`{rule.option}`", rule.effect, rule.why) for rule in RULES]
     rows += [
         ("`end`", "kept, but does not end the run", WHY["end"]),
         ("`begin`, `lateral-resolution`, collisions, routing, devices, models, ...", "kept", "they define the traffic"),

@@ -35,42 +35,45 @@ _BUILDER = "wcsim.towns.build_street"
 _EVERY_S = 5.0  # most streets are ready before the first message
 
 
-def load_street(town: Town, say: Callable[[str], object] | None = None) -> Street:
+def load_street(town: Town, report: Callable[[str], object] | None = None) -> Street:
     """The street of a town, from the cache where it is there.
 
     Args:
         town: The town.
-        say: Called every few seconds while a street is built, from a thread of its own, with a line: which part, and
-            for how long already. By default a warning is logged: Python shows those on standard error where no
-            logging was set up, as by the user of an environment.
+        report: Called every few seconds while a street is built, from a thread of its own, with a
+            line: which part, and for how long already. By default a warning is logged: Python shows
+            those on standard error where no logging was set up, as by the user of an environment.
 
     Raises:
         TownError: The town cannot be used.
     """
 
     def built() -> Packed:
-        from wcsim.towns.build_street import build_street  # heavy, and not needed where the street is there
+        # Heavy, and not needed where the street is there.
+        from wcsim.towns.build_street import build_street
 
-        with _progress(town, say or log.warning) as at:
+        with _progress(town, report or log.warning) as at:
             return build_street(town, at)
 
     return unpack_street(built()) if town.passing else cached_street(_street_key(town), built)
 
 
 @contextmanager
-def _progress(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[str], object]]:
+def _progress(town: Town, report: Callable[[str], object]) -> Iterator[Callable[[str], object]]:
     """Report the part of a street that is being built, as the builder names it."""
-    over, began_s, parts = Event(), time.monotonic(), ["net"]
+    over, start_s, parts = Event(), time.monotonic(), ["net"]
     once = "" if town.passing else " (once, then cached)"
 
-    def report() -> None:
+    def run() -> None:
         more = once
         while not over.wait(_EVERY_S):
-            with suppress(OSError):  # who listened is gone
-                say(f"street of {town.name}{more}: {parts[-1]}, after {time.monotonic() - began_s:.0f} s")
+            elapsed_s = time.monotonic() - start_s
+            # The one who listened may have left.
+            with suppress(OSError):
+                report(f"street of {town.name}{more}: {parts[-1]}, after {elapsed_s:.0f} s")
             more = ""
 
-    reporter = Thread(target=report, daemon=True)
+    reporter = Thread(target=run, daemon=True)
     reporter.start()
     try:
         yield parts.append
@@ -80,20 +83,23 @@ def _progress(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[st
 
 
 def _street_key(town: Town) -> str:
-    """Name of a town's state: its SUMO files, what town.toml says of its ground, and what makes a street of it."""
+    """Name of a town's state: its SUMO files, its ground, and what makes a street of it."""
     file = town.file
     ground = f"{file.origin_m} {file.kerb_height_m} {file.lowered_kerb_m} {file.chair_ways}"
-    still = content_hash(replace(town, routes=()))  # traffic leaves the street as it is
+    # Traffic leaves the street as it is.
+    still = content_hash(replace(town, routes=()))
     return hashlib.sha256(f"{still} {ground} {_maker_digest()}".encode()).hexdigest()[:32]
 
 
-@cache  # whoever edits the code of a process that runs changes nothing of what it makes
+# It is cached: an edit of the code of a process that runs changes nothing of what it makes.
+@cache
 def _maker_digest() -> str:
-    """SHA-256 over the code that makes a street, its text and data, and the versions of libraries that it uses."""
+    """SHA-256 over the code and data that make a street, and the versions of its libraries."""
     versions = " ".join(version(distribution) for distribution in LIBRARIES.values())
     digest = hashlib.sha256(versions.encode())
     for path in find_imported_source_files(_BUILDER):
         digest.update(path.read_bytes())
-        data = path.with_suffix(".toml")  # that a module reads stands beside it
+        # The data of a module stands beside it.
+        data = path.with_suffix(".toml")
         digest.update(data.read_bytes() if data.is_file() else b"")
     return digest.hexdigest()

@@ -9,7 +9,7 @@ from tests.towns.furniture.standing_samples import free_place, item
 from tests.towns.ground.rays import normals
 from wcsim.towns.furniture.everything import LOOK_OF, _pick_look, _place_mapped
 from wcsim.towns.furniture.models import LOOKS
-from wcsim.towns.furniture.placement import CLEAR_M, Taken, set_on_ground, stood
+from wcsim.towns.furniture.placement import CLEAR_M, Taken, set_on_ground, standing_object
 from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.plane_geometry import cross_z
 from wcsim.towns.ground.solid_shapes import Solid
@@ -98,7 +98,7 @@ def test_lengths_in_tags(text: str, value: float | None) -> None:
 
 @pytest.mark.parametrize("kind", sorted(LOOKS))
 def test_every_look_is_closed_below_stays_in_its_footprint_and_has_its_height(kind: str) -> None:
-    thing = stood(kind, np.array([7.0, -3.0]), 0.4)
+    thing = standing_object(kind, np.array([7.0, -3.0]), 0.4)
     low = thing.piece.vertices_W_m[thing.piece.vertices_W_m[:, 2] < 2.0]
     grown = thing.footprint.buffer(0.1)
     assert shapely.contains_xy(grown, low[:, 0], low[:, 1]).all()

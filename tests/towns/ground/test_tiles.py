@@ -28,7 +28,7 @@ def store_of(street: Street) -> TileStore:
 
 def held(store: TileStore) -> int:
     """Rasters in memory."""
-    layers = [(g.height_cm, g.ground_class, g.clearance_dm) for g in store._kept.values()]
+    layers = [(g.height_cm, g.ground_class, g.clearance_dm) for g in store._cached.values()]
     return sum(raster.size > 0 for grid in layers for raster in grid)
 
 
@@ -53,8 +53,8 @@ def test_for_heights_nothing_else_is_read(street: Street) -> None:
 
 def test_what_was_asked_for_lately_stays_and_the_rest_goes(street: Street, monkeypatch: pytest.MonkeyPatch) -> None:
     store, read = store_of(street), []
-    monkeypatch.setattr(tiles, "_KEPT", 2)
-    monkeypatch.setattr(tiles, "_FRESH_ASKS", 4)
+    monkeypatch.setattr(tiles, "_CACHED", 2)
+    monkeypatch.setattr(tiles, "_RECENT_REQUESTS", 4)
     monkeypatch.setattr(TileStore, "_unpacked", lambda self, *a, of=TileStore._unpacked: read.append(1) or of(self, *a))
     here, there, last = (tuple(p.tolist()) for p in middles(store)[:3])
     for _ in range(3):  # three are in use, though only two would be kept
@@ -64,14 +64,14 @@ def test_what_was_asked_for_lately_stays_and_the_rest_goes(street: Street, monke
     for _ in range(4):
         store.height_here(*last)
     store.around(np.array(last))  # its three are more than are kept; the others are old
-    assert set(store._kept) == set(store._used) == {next(reversed(store._kept))}
+    assert set(store._cached) == set(store._used) == {next(reversed(store._cached))}
     assert held(store) == 3
 
 
 def test_even_of_what_is_asked_for_there_is_a_most(street: Street, monkeypatch: pytest.MonkeyPatch) -> None:
     store = store_of(street)
-    monkeypatch.setattr(tiles, "_KEPT", 1)
-    monkeypatch.setattr(tiles, "_MOST_KEPT", 4)
+    monkeypatch.setattr(tiles, "_CACHED", 1)
+    monkeypatch.setattr(tiles, "_MOST_CACHED", 4)
     wanted = store.class_at(middles(store))
     for _ in range(2):
         for point, class_id in zip(middles(store), wanted, strict=True):

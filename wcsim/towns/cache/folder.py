@@ -1,4 +1,4 @@
-"""The cache: its folder, how a file is written into it, what is in it, and how it is emptied. Loads nothing heavy."""
+"""The cache: its folder, what is in it, and how it is emptied; nothing heavy is loaded here."""
 
 import re
 import shutil
@@ -10,23 +10,33 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from wcsim.core.files import KERNELS, count_folder_bytes, find_cache_folder, find_home_folder, write_bytes
+from wcsim.core.files import (
+    KERNELS,
+    count_folder_bytes,
+    find_cache_folder,
+    find_home_folder,
+    write_bytes,
+)
 from wcsim.core.reading import escape
 from wcsim.errors import DiskFullError
 
 MOST_VERDICTS: Final = 4000  # of a kind, then the newer half stays: generated scenes leave one each
 WRITTEN_S = 3600.0  # a file that is being written is not older
 _KEY = "[0-9a-f]{32}"
-# What wcsim writes there, by its place: files and folders. Generated scenes of the driving page and generated towns of
-# suites are driven in, see `bridge/replay/replayed.py` and `drive/starting.py`; what is begun, see
-# `files.write_file_atomically`.
+# What wcsim writes there, by its place: files and folders. Generated scenes of the driving page and
+# generated towns of suites are driven in, see `bridge/replay/replayed.py` and `drive/starting.py`.
+# For what is unfinished see `files.write_file_atomically`.
 _KINDS = {
     "streets": re.compile(rf"street-{_KEY}\.npz"),
     "verdicts": re.compile(rf"(scenario|net)-{_KEY}\.ok"),
     "kernels": re.compile(rf"{KERNELS}/[^/]+/[\w.-]+\.nbi"),
     "code": re.compile(rf"{KERNELS}/[^/]+/[\w.-]+\.(nbc|lock)"),  # of the kernels
-    "driven": re.compile(r"drive-scenes/([a-z][a-z-]*-\d+-[0-9a-f]{16}|\.\w{8})|drive-towns/made-\d+"),
-    "unfinished": re.compile(rf"street-{_KEY}\.lock|\.(street|scenario|net)-{_KEY}\.(npz|ok)\.\d+-\w+\.tmp"),
+    "driven": re.compile(
+        r"drive-scenes/([a-z][a-z-]*-\d+-[0-9a-f]{16}|\.\w{8})|drive-towns/made-\d+"
+    ),
+    "unfinished": re.compile(
+        rf"street-{_KEY}\.lock|\.(street|scenario|net)-{_KEY}\.(npz|ok)\.\d+-\w+\.tmp"
+    ),
 }
 
 
@@ -38,12 +48,14 @@ def cache_folder() -> Path:
 def shown_cache() -> str:
     """The cache's folder for a message, with ~ for the home."""
     folder, own = cache_folder(), find_home_folder()
-    return escape(Path("~") / folder.relative_to(own) if own is not None and folder.is_relative_to(own) else folder)
+    is_own = own is not None and folder.is_relative_to(own)
+    return escape(Path("~") / folder.relative_to(own) if own is not None and is_own else folder)
 
 
 def write_verdict(path: Path) -> None:
-    """Save that a check passed, as a small file under its hash; of each kind the newest ones stay."""
-    with suppress(DiskFullError):  # a cache that cannot be written is no error
+    """Save that a check passed, as a small file under its hash; of a kind the newest ones stay."""
+    # A cache that cannot be written is no error.
+    with suppress(DiskFullError):
         write_bytes(path, b"ok\n")
     verdicts = list(path.parent.glob(f"{path.name.partition('-')[0]}-*{path.suffix}"))
     if len(verdicts) > MOST_VERDICTS:
@@ -55,7 +67,7 @@ def write_verdict(path: Path) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _CacheFacts:
-    """What is cached and can be made again; other files in the folder, as the key of one's own runs, do not count."""
+    """What is cached and can be made again, without other files, such as the key of own runs."""
 
     folder: Path
     streets: int
@@ -84,28 +96,36 @@ def cache_facts() -> _CacheFacts:
 def clear_cache() -> _CacheFacts:
     """Remove what wcsim keeps there and can make again; returns what is left of it.
 
-    A world that uses a street goes on: its open file lives until it closes it. A file that is being written has
-    another name until it is whole, and is left alone, as is every file that wcsim has not named. Who drives in a
-    generated scene or town drives on, and has to begin anew for another place in it.
+    A world that uses a street goes on: its open file lives until it closes it. A file that is being
+    written has another name until it is whole, and is left alone, as is every file that wcsim has
+    not named. A driver in a generated scene or town drives on, and has to begin anew for another
+    place in it.
     """
     for path in _made():
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
-        with suppress(OSError):  # of another user, or gone already
+        # It may be another user's, or removed already.
+        with suppress(OSError):
             path.unlink()
     return cache_facts()
 
 
 def _made() -> dict[Path, tuple[str, int]]:
-    """The files and folders that wcsim made, with their kind and size; what is being written is left out."""
+    """The files and folders that wcsim made, with their kind and size; none that is in writing."""
     folder, found = cache_folder(), dict[Path, tuple[str, int]]()
-    for path in sorted(path for depth in ("*", "*/*", f"{KERNELS}/*/*") for path in folder.glob(depth)):
+    depths = ("*", "*/*", f"{KERNELS}/*/*")
+    for path in sorted(path for depth in depths for path in folder.glob(depth)):
         name = path.relative_to(folder).as_posix()
         kind = next((kind for kind, form in _KINDS.items() if form.fullmatch(name)), None)
+        is_hidden = path.name.startswith(".")
         with suppress(OSError):
             status = path.lstat()
-            begun = kind == "unfinished" or path.name.startswith(".")
-            is_ours = stat.S_ISDIR if kind == "driven" or path.name.startswith(".") else stat.S_ISREG
-            if kind and is_ours(status.st_mode) and not (begun and time.time() - status.st_mtime < WRITTEN_S):
-                found[path] = kind, count_folder_bytes(path) if stat.S_ISDIR(status.st_mode) else status.st_size
+            is_folder = stat.S_ISDIR(status.st_mode)
+            is_expected = (
+                is_folder if kind == "driven" or is_hidden else stat.S_ISREG(status.st_mode)
+            )
+            is_unfinished = kind == "unfinished" or is_hidden
+            is_written = is_unfinished and time.time() - status.st_mtime < WRITTEN_S
+            if kind and is_expected and not is_written:
+                found[path] = kind, count_folder_bytes(path) if is_folder else status.st_size
     return found

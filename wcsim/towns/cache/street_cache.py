@@ -1,7 +1,7 @@
 """The cache of built streets: one .npz file for each state of a town, written whole or not at all.
 
-A street is stored as named arrays. Its file is read by position, so that copies of a process (`os.fork`) do not move
-each other's place in it.
+A street is stored as named arrays. Its file is read by position, so that copies of a process
+(`os.fork`) do not move each other's place in it.
 """
 
 import io
@@ -30,7 +30,10 @@ def pack_street(
 ) -> dict[str, np.ndarray]:
     """A street as named arrays; `tiles` are those of `pack_tiles`."""
     edges = walk.edges
-    texts = [(edge.sumo_id, edge.kind.value, edge.tls_id, " ".join(map(str, edge.tls_links))) for edge in edges]
+    texts = [
+        (edge.sumo_id, edge.kind.value, edge.tls_id, " ".join(map(str, edge.tls_links)))
+        for edge in edges
+    ]
     places = [(*head.p_W_m, head.yaw_rad, head.link, head.pedestrian) for head in signal_heads]
     return {
         **tiles,
@@ -38,9 +41,13 @@ def pack_street(
         "relief_place": np.array([*relief.origin_W_m, relief.cell_m]),
         "net_origin_m": np.array(net_origin_m, np.float64),
         "nodes_W_m": walk.nodes_W_m,
-        "edge_points_W_m": np.concatenate([edge.points_W_m for edge in edges] or [np.zeros((0, 2))]),
+        "edge_points_W_m": np.concatenate(
+            [edge.points_W_m for edge in edges] or [np.zeros((0, 2))]
+        ),
         "edge_sizes": np.array([len(edge.points_W_m) for edge in edges], dtype=np.int64),
-        "edge_numbers": np.array([(edge.start, edge.end) for edge in edges], dtype=np.int64).reshape(-1, 2),
+        "edge_numbers": np.array(
+            [(edge.start, edge.end) for edge in edges], dtype=np.int64
+        ).reshape(-1, 2),
         "edge_width_m": np.array([edge.width_m for edge in edges], dtype=np.float64),
         "edge_never_green": np.array([edge.never_green for edge in edges], dtype=np.bool_),
         "edge_texts": np.array(texts, dtype=np.str_).reshape(-1, 4),
@@ -51,7 +58,10 @@ def pack_street(
 
 def unpack_street(packed: Packed) -> Street:
     """The inverse of `pack_street`. Raises KeyError or ValueError for arrays that are none."""
-    (x_m, y_m, cell_m), (east_m, north_m, up_m) = packed["relief_place"].tolist(), packed["net_origin_m"].tolist()
+    (x_m, y_m, cell_m), (east_m, north_m, up_m) = (
+        packed["relief_place"].tolist(),
+        packed["net_origin_m"].tolist(),
+    )
     relief = Relief(origin_W_m=(x_m, y_m), cell_m=cell_m, z_m=packed["relief_z_m"])
     store = TileStore(packed, FLAT if relief.flat else relief)
     points = np.split(packed["edge_points_W_m"], np.cumsum(packed["edge_sizes"])[:-1])
@@ -83,7 +93,13 @@ def unpack_street(packed: Packed) -> Street:
         grid=store,
         walk=WalkGraph(nodes_W_m=packed["nodes_W_m"], edges=edges),
         signal_heads=tuple(
-            SignalHead(tls_id=name, link=int(link), p_W_m=np.array([x, y, z]), yaw_rad=yaw, pedestrian=bool(walks))
+            SignalHead(
+                tls_id=name,
+                link=int(link),
+                p_W_m=np.array([x, y, z]),
+                yaw_rad=yaw,
+                pedestrian=bool(walks),
+            )
             for name, (x, y, z, yaw, link, walks) in heads
         ),
         net_origin_m=(east_m, north_m, up_m),
@@ -91,7 +107,7 @@ def unpack_street(packed: Packed) -> Street:
 
 
 class _PreadFile(io.RawIOBase):
-    """An open file for reading; its place is this object's own, where a descriptor's is shared with every copy."""
+    """An open file for reading, at a place of its own: a descriptor's is shared by all copies."""
 
     def __init__(self, path: Path) -> None:
         """Raises OSError when it cannot be opened."""
@@ -116,7 +132,8 @@ class _PreadFile(io.RawIOBase):
         self._at = at
         return at
 
-    def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]  # typeshed: any writable buffer
+    # In typeshed it takes any writable buffer.
+    def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]
         """Read what fits, from the place on; 0 at the end."""
         count = os.preadv(self._fd, [buffer], self._at)
         self._at += count
@@ -135,16 +152,16 @@ def cached_street(key: str, build: Callable[[], Packed]) -> Street:
     found = _read(path)
     if found is not None:
         return found
-    with hold_file_lock(path.with_suffix(".lock")):  # worlds that begin together build it once
-        found = _read(path)  # another process may have built it meanwhile
+    # Worlds that start together build it once: another process may have done so meanwhile.
+    with hold_file_lock(path.with_suffix(".lock")):
+        found = _read(path)
         if found is not None:
             return found
         packed = build()
         with suppress(DiskFullError), write_file_atomically(path) as part:
             np.savez(part, allow_pickle=False, **packed)
-    return _read(path) or unpack_street(
-        packed
-    )  # from the file, if there is one, so that only what is used is in memory
+    # It is read from the file, if there is one, so that only what is used is in memory.
+    return _read(path) or unpack_street(packed)
 
 
 def _read(path: Path) -> Street | None:

@@ -1,1 +1,1 @@
-"""What stands on the ground: buildings, signals, stops, trees, an author's obstacles. Not the ground itself."""
+"""What stands on the ground: buildings, signals, stops, trees, an author's obstacles."""

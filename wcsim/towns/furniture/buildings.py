@@ -1,4 +1,4 @@
-"""Buildings: footprints cleared of the street, parts and courtyards, heights from tags or, without any, from a seed."""
+"""Buildings: footprints cleared of the street, with heights from tags, or from a seed."""
 
 from dataclasses import dataclass, replace
 
@@ -17,8 +17,10 @@ GAP_M = 0.1  # between a wall and walkable ground or road
 _SMALLEST_M2 = 3.0
 _STANDS_M = 2.0  # what begins above this lets people pass below
 PASSAGE_M = 4.2  # free height of a passage through a house: buses and trams fit
-_MODELLED = 0.8  # a building covered to this share by its parts has no body of its own
-_OPEN_BELOW = 0.35  # ... unless more than this share of it would hang in the air
+# A building covered to this share by its parts has no body of its own, unless more than the other
+# share of it would hang in the air.
+_MODELLED = 0.8
+_OPEN_BELOW = 0.35
 _HELD = 0.5  # what lies on other bodies to this share stands on them
 _KINDS = {name: words.split() for name, words in read_module_toml(__file__).items()}
 
@@ -37,7 +39,6 @@ class _Body:
     """One mapped outline."""
 
     area: BaseGeometry
-    item: Item
     rise_m: float
     height_m: float
     part: bool
@@ -46,23 +47,50 @@ class _Body:
 def make_buildings(
     items: list[Item], street: BaseGeometry, hull: BaseGeometry
 ) -> tuple[list[Building], list[Building]]:
-    """Buildings that stand beside the street, and those that hang over it: skywalks, and houses over a passage.
+    """Buildings beside the street, and those over it: skywalks, and houses over a passage.
 
     What stands on the street (arcades, passages) or outside the town is cut off.
     """
+    # 1. Cut courtyards out of the buildings around them.
     bodies, courtyards = _outlines(items, hull)
-    solid, raised = _composed(_hollowed(bodies, courtyards))
+    tree = shapely.STRtree(courtyards)
+    hollowed: list[_Body] = []
+    for body in bodies:
+        inside = [courtyards[i] for i in sorted(tree.query(body.area).tolist())]
+        inside = [yard for yard in inside if yard.area < 0.98 * body.area.area]
+        yards = [y for y in inside if y.intersection(body.area).area > 0.9 * y.area]
+        if yards:
+            body = replace(body, area=_areas(body.area.difference(shapely.union_all(yards))))
+        hollowed.append(body)
+    solid, raised = _composed(hollowed)
+
+    # 2. Clear what stands of the street. No ground is taken twice: what comes first has it.
     patches = Patches(street)
+    tree = shapely.STRtree([body.area for body in solid])
+    taken: list[BaseGeometry] = []
     standing: list[Building] = []
     overhead: list[Building] = []
-    for body in _apart(solid):
+    for i, body in enumerate(solid):
+        before = [taken[j] for j in sorted(tree.query(body.area).tolist()) if j < i]
+        area = body.area.difference(shapely.union_all(before).buffer(0.02)) if before else body.area
+        body = replace(body, area=_areas(area))
+        taken.append(body.area)
         near = patches.near(_around(body.area, 1.0))
-        cleared = _cleared(body.area.difference(buffered(near, GAP_M, join_style="mitre", mitre_limit=2.0)))
-        parts = [part for part in cleared if not part.intersects(near)]
+        gap = buffered(near, GAP_M, join_style="mitre", mitre_limit=2.0)
+        parts = [part for part in _cleared(body.area.difference(gap)) if not part.intersects(near)]
         standing += [Building(outline=part, height_m=body.height_m) for part in parts]
         overhead += _over_passages(body, near)
+
+    # 3. What starts on an upper floor starts higher up where it reaches over the street.
     for body in raised:
-        overhead += _raised(body, patches.near(_around(body.area, 1.0)))
+        above = _widened(patches.near(_around(body.area, 1.0)))
+        beside, over = body.area.difference(above), body.area.intersection(above)
+        for area, low_m in ((beside, body.rise_m), (over, max(body.rise_m, PASSAGE_M))):
+            if body.height_m > low_m + 0.3:
+                overhead += [
+                    Building(outline=part, height_m=body.height_m, low_m=low_m)
+                    for part in _cleared(area)
+                ]
     return standing, overhead
 
 
@@ -72,7 +100,13 @@ def _outlines(items: list[Item], hull: BaseGeometry) -> tuple[list[_Body], list[
     bodies: list[_Body] = []
     courtyards: list[BaseGeometry] = []
     for item in items:
-        if item.kind != "building" or item.author or not item.filled or len(item.points_W_m) < 4 or _hidden(item):
+        if (
+            item.kind != "building"
+            or item.author
+            or not item.filled
+            or len(item.points_W_m) < 4
+            or _hidden(item)
+        ):
             continue
         area = _areas(shapely.make_valid(Polygon(item.points_W_m)))
         if not hull.contains(area):
@@ -82,10 +116,11 @@ def _outlines(items: list[Item], hull: BaseGeometry) -> tuple[list[_Body], list[
         if item.detail == "courtyard":
             courtyards.append(area)
         else:
-            bridge = item.detail == "bridge"
-            begins_m = max(rise_m(item.tags), PASSAGE_M if bridge else 0.0)
-            height_m = max(_height_m(item, area.area), begins_m + (STOREY_M if begins_m > 0.0 else 0.0))
-            bodies.append(_Body(area=area, item=item, rise_m=begins_m, height_m=height_m, part=item.detail == "part"))
+            low_m = max(rise_m(item.tags), PASSAGE_M if item.detail == "bridge" else 0.0)
+            least_m = low_m + (STOREY_M if low_m > 0.0 else 0.0)
+            height_m = max(_height_m(item, area.area), least_m)
+            is_part = item.detail == "part"
+            bodies.append(_Body(area=area, rise_m=low_m, height_m=height_m, part=is_part))
     return sorted(bodies, key=lambda body: -body.area.area), courtyards
 
 
@@ -100,40 +135,23 @@ def _hidden(item: Item) -> bool:
     )
 
 
-def _hollowed(bodies: list[_Body], courtyards: list[BaseGeometry]) -> list[_Body]:
-    """Bodies without the courtyards inside them."""
-    if not courtyards:
-        return bodies
-    tree = shapely.STRtree(courtyards)
-    found: list[_Body] = []
-    for body in bodies:
-        inside = [courtyards[i] for i in sorted(tree.query(body.area).tolist())]
-        yards = [
-            yard
-            for yard in inside
-            if yard.area < 0.98 * body.area.area and yard.intersection(body.area).area > 0.9 * yard.area
-        ]
-        found.append(replace(body, area=_areas(body.area.difference(shapely.union_all(yards)))) if yards else body)
-    return found
-
-
 def _composed(bodies: list[_Body]) -> tuple[list[_Body], list[_Body]]:
-    """Bodies that stand, parts before the building that they belong to, and bodies that begin higher up."""
+    """Bodies that stand, parts before the building that they belong to, and raised bodies."""
     parts = [body for body in bodies if body.part]
     wholes = [body for body in bodies if not body.part]
     tree = shapely.STRtree([part.area for part in parts])
     bases: list[_Body] = []
     for whole in wholes:
         near = [parts[i] for i in sorted(tree.query(whole.area).tolist())]
-        mine = [part for part in near if part.area.intersection(whole.area).area > 0.5 * part.area.area]
-        bases.append(_base(whole, mine) if mine else whole)
+        own = [p for p in near if p.area.intersection(whole.area).area > 0.5 * p.area.area]
+        bases.append(_base(whole, own) if own else whole)
     every = [*parts, *bases]
     standing = [body for body in every if body.rise_m <= _STANDS_M and not body.area.is_empty]
     return standing, _supported(standing, [body for body in every if body.rise_m > _STANDS_M])
 
 
 def _base(whole: _Body, parts: list[_Body]) -> _Body:
-    """What of a building its parts leave: nothing where they are all of it, so that people pass below raised ones."""
+    """What of a building its parts leave; nothing if they are all of it, so people pass below."""
     grounded = shapely.union_all([part.area for part in parts if part.rise_m <= _STANDS_M])
     raised = shapely.union_all([part.area for part in parts if part.rise_m > _STANDS_M])
     left = _areas(whole.area.difference(grounded))
@@ -141,21 +159,26 @@ def _base(whole: _Body, parts: list[_Body]) -> _Body:
     modelled = left.difference(raised).area <= (1.0 - _MODELLED) * whole.area.area
     if modelled and open_below <= _OPEN_BELOW * whole.area.area:
         return replace(whole, area=_areas(left.difference(raised)))
-    over_m = [
-        part.rise_m for part in parts if part.rise_m > _STANDS_M and part.area.intersection(left).area > _SMALLEST_M2
-    ]
-    return replace(whole, area=left, height_m=min([whole.height_m, *(max(rise, STOREY_M) for rise in over_m)]))
+    # It ends below the parts that stand on it.
+    height_m = whole.height_m
+    for part in parts:
+        if part.rise_m > _STANDS_M and part.area.intersection(left).area > _SMALLEST_M2:
+            height_m = min(height_m, max(part.rise_m, STOREY_M))
+    return replace(whole, area=left, height_m=height_m)
 
 
 def _supported(standing: list[_Body], raised: list[_Body]) -> list[_Body]:
-    """Raised bodies, drawn down to the roof below them where a map leaves out the floors between."""
+    """Raised bodies, drawn down to the roof below where a map leaves out the floors between."""
     upwards = sorted(raised, key=lambda body: body.rise_m)
     below = [*standing, *upwards]
     tree = shapely.STRtree([other.area for other in below])
     found: list[_Body] = []
     for place, body in enumerate(upwards, start=len(standing)):
         under = [below[i] for i in sorted(tree.query(body.area).tolist()) if i < place]
-        shares = [(other.area.intersection(body.area).area / body.area.area, other.height_m) for other in under]
+        shares = [
+            (other.area.intersection(body.area).area / body.area.area, other.height_m)
+            for other in under
+        ]
         if sum(share for share, _ in shares) > _HELD:
             lowest_m = min(height_m for share, height_m in shares if share > 0.1 * _HELD)
             body = replace(body, rise_m=min(body.rise_m, max(lowest_m, _STANDS_M)))
@@ -163,36 +186,14 @@ def _supported(standing: list[_Body], raised: list[_Body]) -> list[_Body]:
     return found
 
 
-def _apart(bodies: list[_Body]) -> list[_Body]:
-    """Bodies that take no ground twice: what comes first keeps it."""
-    tree = shapely.STRtree([body.area for body in bodies])
-    found: list[_Body] = []
-    for i, body in enumerate(bodies):
-        before = [found[j].area for j in sorted(tree.query(body.area).tolist()) if j < i]
-        area = body.area.difference(shapely.union_all(before).buffer(0.02)) if before else body.area
-        found.append(replace(body, area=_areas(area)))
-    return found
-
-
-def _raised(body: _Body, street: BaseGeometry) -> list[Building]:
-    """What begins on an upper floor, higher up where it reaches over the street."""
-    above = _widened(street)
-    halves = ((body.area.difference(above), body.rise_m), (body.area.intersection(above), max(body.rise_m, PASSAGE_M)))
-    return [
-        Building(outline=part, height_m=body.height_m, low_m=low_m)
-        for area, low_m in halves
-        if body.height_m > low_m + 0.3
-        for part in _cleared(area)
-    ]
-
-
 def _widened(street: BaseGeometry) -> BaseGeometry:
-    """The street and a little more, so that what hangs over it leaves no slot beside the walls below."""
+    """The street and a little more: what hangs over it leaves no slot beside the walls below."""
     return buffered(street, 2.0 * GAP_M, join_style="mitre", mitre_limit=2.0)
 
 
 def _over_passages(body: _Body, street: BaseGeometry) -> list[Building]:
-    """The upper floors where a street runs through a building; a street along its front cuts off an edge only."""
+    """The upper floors where a street runs through a building."""
+    # A street along its front cuts off an edge only.
     if body.height_m < PASSAGE_M + 1.0:
         return []
     found: list[Building] = []
@@ -207,7 +208,8 @@ def _cleared(area: BaseGeometry) -> list[Polygon]:
     """The polygons of an area without crumbs and thin strips, on a centimetre grid."""
     if area.is_empty:
         return []
-    opened = shapely.set_precision(valid(area.buffer(-0.15).buffer(0.15, join_style="mitre").simplify(0.1)), 0.01)
+    wide = area.buffer(-0.15).buffer(0.15, join_style="mitre").simplify(0.1)
+    opened = shapely.set_precision(valid(wide), 0.01)
     return [part for part in polygons_of(opened) if part.is_valid and part.area >= _SMALLEST_M2]
 
 
@@ -232,16 +234,13 @@ def _height_m(item: Item, area_m2: float) -> float:
         if roof_m is None:
             roof_m = STOREY_M * float(np.clip(number(item.tags, "roof:levels"), 0.0, 4.0))
         return STOREY_M * storeys + float(np.clip(roof_m, 0.0, 30.0)) + 1.0
-    low_m, high_m = _usual_m(item.detail, area_m2)
-    return round(float(make_rng(0, "building", item.id).uniform(low_m, high_m)), 1)
-
-
-def _usual_m(detail: str, area_m2: float) -> tuple[float, float]:
-    """Between which heights a building of a kind and size mostly is."""
-    if detail in _KINDS["low"] or area_m2 < 25.0:
-        return 2.6, 3.4
-    if detail in _KINDS["houses"]:
-        return 6.0, 9.0
-    if detail in _KINDS["high"]:
-        return 15.0, 25.0
-    return (5.0, 9.0) if area_m2 < 80.0 else (9.0, 18.0)
+    # Without tags, a height is drawn from those that are usual for its kind and size.
+    if item.detail in _KINDS["low"] or area_m2 < 25.0:
+        bounds_m = 2.6, 3.4
+    elif item.detail in _KINDS["houses"]:
+        bounds_m = 6.0, 9.0
+    elif item.detail in _KINDS["high"]:
+        bounds_m = 15.0, 25.0
+    else:
+        bounds_m = (5.0, 9.0) if area_m2 < 80.0 else (9.0, 18.0)
+    return round(float(make_rng(0, "building", item.id).uniform(*bounds_m)), 1)

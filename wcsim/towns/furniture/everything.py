@@ -1,8 +1,8 @@
-"""Everything that stands in a street beside its buildings, in the order in which it takes its place.
+"""Everything that stands in a street but its buildings, in the order in which it takes its place.
 
-Stops of buses and trams have a pole with a sign, and a shelter where the pavement has room for one. Street furniture
-from maps is kept clear of road and walking lines. What an author placed in an additional file (types wcsim.*) stands
-exactly there, whatever is below or around.
+Stops of buses and trams have a pole with a sign, and a shelter where the pavement has room for one.
+Street furniture from maps is kept clear of road and walking lines. What an author placed in an
+additional file (types wcsim.*) stands exactly there, whatever is below or around.
 """
 
 import logging
@@ -18,10 +18,18 @@ from wcsim.core.frames import yaw_from_sumo
 from wcsim.core.reading import read_module_toml
 from wcsim.errors import TownError
 from wcsim.towns.furniture.models import FOOT_M, LOOKS
-from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, stood
+from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, standing_object
 from wcsim.towns.furniture.traffic_lights import sign_things, signal_things
 from wcsim.towns.ground import solid_shapes
-from wcsim.towns.ground.plane_geometry import Patches, distinct, left_of, polygons_of, unit, valid, yaw_of
+from wcsim.towns.ground.plane_geometry import (
+    Patches,
+    distinct,
+    left_of,
+    polygons_of,
+    unit,
+    valid,
+    yaw_of,
+)
 from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.osm.tags import metres, off_ground
 from wcsim.towns.sumo.additional import AUTHOR_PREFIX, Item
@@ -36,48 +44,102 @@ _BOARDS_M = ((0.1, 0.3), (0.75, 1.0))  # from and to: the lower one is what a wh
 _AUTHOR_POST_STEP_M = 2.0
 _CONE_IN_M = 0.3  # cones stand inside the boards
 _AUTHOR_LONGEST_M = 4.0  # an outline that follows a hill has a corner at least this often
+SHIFTS_M = (0.0, 0.4, 0.8, 1.2, 1.6)  # how far a thing may be moved to give way
+TREE_STEP_M = 8.0
+POST_STEP_M = 1.5
+LONGEST_M = 12.0  # a fence that follows a hill has a corner at least this often
+_SAME_STOP_M = 12.0  # a mapped stop so near to one of SUMO's is the same one
+FARTHEST_M = 14.0  # from the middle of the lane to the pole
+STEP_M = 0.35
+ALONG_M = (0.0, 1.5, -1.5, 3.0, -3.0, 5.0, -5.0, 7.0, -7.0)
+_FLAT_GROUPS = ("landuse", "waterway", "boundary", "kerb", "building", "stop")
+_DATA = read_module_toml(__file__)
+_COMPASS: list[str] = _DATA["compass"].split()
+_LOOK_BY_TAG: dict[str, tuple[str, dict[str, str]]] = _DATA["by_tag"]
+_CLASS_OF_AREA = {
+    kind: ClassId[name] for name, kinds in _DATA["areas"].items() for kind in kinds.split()
+}
+LOOK_OF = {kind: look for look, kinds in _DATA["looks"].items() for kind in kinds.split()}
+"""Looks of mapped points by the second word of their type; "" for what stands nowhere."""
+_ROW_STEPS_M = {
+    "tree_row": ("tree", TREE_STEP_M),
+    "bollard": ("bollard", POST_STEP_M),
+    "chain": ("bollard", 2.0),
+}
+# Height and thickness in metres, and class.
+_LINE_SPECS: dict[str, tuple[float, float, int]] = {
+    kind: (high_m, thick_m, ClassId[name])
+    for kind, (high_m, thick_m, name) in _DATA["lines"].items()
+}
 
 
 def author_things(items: list[Item], hull: BaseGeometry) -> list[StandingObject]:
-    """Everything of a type wcsim.* that touches the town's ground. Raises TownError for a size that is none."""
+    """Everything of a type wcsim.* that touches the town's ground.
+
+    Raises:
+        TownError: A size is none.
+    """
     found: list[StandingObject] = []
     for item in items:
-        things = [thing for thing in _things(item) if thing.footprint.intersects(hull)] if item.author else []
+        if not item.author:
+            continue
+        things = [thing for thing in _things(item) if thing.footprint.intersects(hull)]
         found += things
-        if item.author and not things:
-            log.warning("%s: %r (%s%s) lies outside the town", item.source, item.id, AUTHOR_PREFIX, item.kind)
+        if not things:
+            kind = f"{AUTHOR_PREFIX}{item.kind}"
+            log.warning("%s: %r (%s) lies outside the town", item.source, item.id, kind)
     return found
 
 
+def place_furniture(
+    items: list[Item],
+    net: Net,
+    additional: tuple[Path, ...],
+    place: FreeGround,
+    placed: list[StandingObject],
+) -> list[StandingObject]:
+    """What the author placed, then signals, stops, signs and mapped furniture if there is room."""
+    place.take(placed)
+    return [
+        *placed,
+        *signal_things(net, additional, place),
+        *_stop_things(items, place, net.lefthand),
+        *sign_things(items, net, place),
+        *_place_mapped(items, place),
+    ]
+
+
 def _things(item: Item) -> list[StandingObject]:
+    """What an author placed: at a point, along a line, or on an area."""
     length_m, width_m, height_m = (_size(item, key) for key in ("length", "width", "height"))
     usual = LOOKS[item.kind].size_lwh_m
     points_m = distinct(item.points_W_m)
     if len(points_m) == 1:
-        size = (length_m or usual[0], width_m or usual[1], height_m or usual[2])
-        return [
-            stood(item.kind, points_m[0], yaw_from_sumo(_number(item, "angle") or 0.0), size if size != usual else None)
-        ]
-    outline = _outline(item, points_m, width_m or usual[1])
-    make = _fenced if item.kind == "roadworks" else _filled
-    return [make(item.kind, area, height_m or usual[2]) for area in polygons_of(outline, 1e-4)]
-
-
-def _outline(item: Item, points_m: F64, width_m: float) -> BaseGeometry:
-    """The ground that several points (N, 2) mark: what they enclose, or a band along them."""
+        size_m = (length_m or usual[0], width_m or usual[1], height_m or usual[2])
+        yaw_rad = yaw_from_sumo(_number(item, "angle") or 0.0)
+        own_size_m = size_m if size_m != usual else None
+        return [standing_object(item.kind, points_m[0], yaw_rad, own_size_m)]
+    # Several points mark what they enclose, or a band along them.
+    is_fenced = item.kind == "roadworks"
     closed = len(points_m) > 3 and bool((points_m[0] == points_m[-1]).all())
-    if (item.filled or (closed and item.kind == "roadworks")) and len(points_m) > 2:
-        return shapely.make_valid(Polygon(points_m))
-    return shapely.LineString(points_m).buffer(width_m / 2, cap_style="flat", join_style="mitre")
+    if (item.filled or (closed and is_fenced)) and len(points_m) > 2:
+        ground = shapely.make_valid(Polygon(points_m))
+    else:
+        half_m = (width_m or usual[1]) / 2
+        line = shapely.LineString(points_m)
+        ground = line.buffer(half_m, cap_style="flat", join_style="mitre")
+    make = _fenced if is_fenced else _filled
+    return [make(item.kind, area, height_m or usual[2]) for area in polygons_of(ground, 1e-4)]
 
 
 def _filled(kind: str, area: Polygon, height_m: float) -> StandingObject:
     class_id = _CLASS_OF_AREA.get(kind, ClassId.STATIC)
-    return _thing(area, [solid_shapes.prism(shapely.segmentize(area, _AUTHOR_LONGEST_M), FOOT_M, height_m, class_id)])
+    outline = shapely.segmentize(area, _AUTHOR_LONGEST_M)
+    return _thing(area, solid_shapes.prism(outline, FOOT_M, height_m, class_id))
 
 
 def _fenced(kind: str, area: Polygon, height_m: float) -> StandingObject:
-    """Boards along the inner side of an outline, with posts between them and a cone at each corner."""
+    """Boards along the inner side of an outline, posts between them, and a cone at each corner."""
     inner = area.buffer(-_BOARD_M, join_style="mitre")
     pieces: list[Solid] = []
     share = height_m / _BOARDS_M[-1][1]
@@ -86,29 +148,22 @@ def _fenced(kind: str, area: Polygon, height_m: float) -> StandingObject:
             solid_shapes.prism(band, share * low_m, share * high_m, ClassId.FENCE, floor=True)
             for low_m, high_m in _BOARDS_M
         ]
-    rail = area.buffer(-0.6 * _BOARD_M, join_style="mitre")
-    for xy in _stations(rail):
-        pieces.append(solid_shapes.post(xy, 0.04, FOOT_M, height_m, ClassId.FENCE, sides=5))
-    for xy in _corners(area.buffer(-_CONE_IN_M, join_style="mitre")):
-        pieces.append(stood("cone", xy, 0.0).piece)
-    return _thing(area, pieces or _filled(kind, area, height_m).piece)
+    # Posts stand at the corners of the boards and between them.
+    rails = polygons_of(area.buffer(-0.6 * _BOARD_M, join_style="mitre"))
+    for ring in [ring for part in rails for ring in (part.exterior, *part.interiors)]:
+        for xy_m in shapely.get_coordinates(shapely.segmentize(ring, _AUTHOR_POST_STEP_M))[:-1]:
+            pieces.append(solid_shapes.post(xy_m, 0.04, FOOT_M, height_m, ClassId.FENCE, sides=5))
+    for part in polygons_of(area.buffer(-_CONE_IN_M, join_style="mitre")):
+        for xy_m in shapely.get_coordinates(part.exterior.simplify(0.2))[:-1]:
+            pieces.append(standing_object("cone", xy_m, 0.0).piece)
+    if not pieces:
+        return _filled(kind, area, height_m)
+    return _thing(area, solid_shapes.joined(pieces))
 
 
-def _thing(area: Polygon, pieces: list[Solid] | Solid) -> StandingObject:
-    piece = solid_shapes.joined(pieces) if isinstance(pieces, list) else pieces
+def _thing(area: Polygon, piece: Solid) -> StandingObject:
     base_m = shapely.get_coordinates(area.representative_point())[0]
     return StandingObject(piece=piece, footprint=area, base_m=base_m, follows=True)
-
-
-def _stations(area: BaseGeometry) -> list[F64]:
-    """Points along the outlines of an area, at corners and between them."""
-    rings = [ring for part in polygons_of(area) for ring in (part.exterior, *part.interiors)]
-    return [xy for ring in rings for xy in shapely.get_coordinates(shapely.segmentize(ring, _AUTHOR_POST_STEP_M))[:-1]]
-
-
-def _corners(area: BaseGeometry) -> list[F64]:
-    rings = [part.exterior.simplify(0.2) for part in polygons_of(area)]
-    return [xy for ring in rings for xy in shapely.get_coordinates(ring)[:-1]]
 
 
 def _size(item: Item, key: str) -> float | None:
@@ -133,28 +188,65 @@ def _number(item: Item, key: str) -> float | None:
 
 def _error(item: Item, key: str, expected: str) -> TownError:
     what = f"{item.source}: {key} of {item.id!r} ({AUTHOR_PREFIX}{item.kind})"
-    return TownError(f"{what} is {item.tags[key].strip()!r}; expected {expected}: correct the <param>")
+    return TownError(
+        f"{what} is {item.tags[key].strip()!r}; expected {expected}: correct the <param>"
+    )
 
 
-SHIFTS_M = (0.0, 0.4, 0.8, 1.2, 1.6)  # how far a thing may be moved to give way
-TREE_STEP_M = 8.0
-POST_STEP_M = 1.5
-LONGEST_M = 12.0  # a fence that follows a hill has a corner at least this often
-_FLAT_GROUPS = ("landuse", "waterway", "boundary", "kerb", "building", "stop")
-_DATA = read_module_toml(__file__)
-_COMPASS: list[str] = _DATA["compass"].split()
-_LOOK_BY_TAG: dict[str, tuple[str, dict[str, str]]] = _DATA["by_tag"]
-_CLASS_OF_AREA = {kind: ClassId[name] for name, kinds in _DATA["areas"].items() for kind in kinds.split()}
+def _stop_things(items: list[Item], place: FreeGround, lefthand: bool) -> list[StandingObject]:
+    """What stands at SUMO's stops, and at mapped ones of which SUMO knows nothing."""
+    found: list[StandingObject] = []
+    known = [item for item in items if item.group == "stop"]
+    middles = shapely.MultiPoint([item.points_W_m[1] for item in known])
+    # A pole near the front of the stop looks at the traffic, and a shelter near its middle at the
+    # road. Both are on the side where people wait.
+    for item in known:
+        start, middle, end = item.points_W_m
+        along = unit(end - start)
+        aside = left_of(along) * (1.0 if lefthand else -1.0)
+        pole_m = end - min(1.0, 0.25 * float(np.hypot(*(end - start)))) * along
+        found += place.put("stop_pole", _outward(pole_m, along, aside), yaw_of(-along))
+        found += place.put("shelter", _outward(middle, along, aside, 1.2), yaw_of(-aside))
+    for item in items:
+        if item.group == "highway" and item.kind == "bus_stop" and not item.author:
+            here = shapely.Point(item.points_W_m.mean(axis=0))
+            if middles.is_empty or not shapely.dwithin(middles, here, _SAME_STOP_M):
+                found += _mapped_stop(item, place)
+    return found
+
+
+def _mapped_stop(item: Item, place: FreeGround) -> list[StandingObject]:
+    """A pole where the map has it, or near by; a shelter only where the map has one."""
+    middle = item.points_W_m.mean(axis=0)
+    nearest = shapely.get_coordinates(shapely.shortest_line(place.low, shapely.Point(middle)))
+    towards = nearest[0] - middle if len(nearest) else np.array([0.0, 1.0])
+    distance_m = float(np.hypot(*towards))
+    aside = -towards / distance_m if distance_m > 1e-6 else np.array([0.0, -1.0])
+    along = left_of(aside)
+    for kind in ("shelter", "stop_pole") if item.tags.get("shelter") == "yes" else ("stop_pole",):
+        found = place.put(kind, _outward(middle, along, aside, 0.0, 3.0), yaw_of(-aside))
+        if found:
+            return found
+    return []
+
+
+def _outward(
+    start_m: F64, along: F64, aside: F64, least_m: float = 0.5, most_m: float = FARTHEST_M
+) -> Iterator[F64]:
+    """Places beside a point, the nearest to the road first."""
+    for aside_m in np.arange(least_m, most_m, STEP_M):
+        for along_m in ALONG_M:
+            yield start_m + aside_m * aside + along_m * along
 
 
 def _place_mapped(items: list[Item], place: FreeGround) -> list[StandingObject]:
-    """All mapped furniture that finds a place beside what is standing already; what an author placed is left out."""
+    """All mapped furniture that finds a place beside what is standing already, not the author's."""
     site = _Site(place)
     found: list[StandingObject] = []
     for item in items:
         if item.author or item.group in _FLAT_GROUPS or off_ground(item.tags):
             continue
-        things = _made(item, site)
+        things = _make_mapped(item, site)
         place.take(things)
         found += things
     return found
@@ -182,18 +274,28 @@ class _Site:
         return np.array([0.0, 1.0])
 
 
-def _made(item: Item, site: _Site) -> list[StandingObject]:
-    if item.kind in _LINE_SPECS and (len(item.points_W_m) > 1):
+def _make_mapped(item: Item, site: _Site) -> list[StandingObject]:
+    points_m = item.points_W_m
+    is_line = len(points_m) > 1
+    if item.kind in _LINE_SPECS and is_line:
         return _barriers(item, site)
-    if item.kind in _ROW_STEPS_M and len(item.points_W_m) > 1:
+    if item.kind in _ROW_STEPS_M and is_line:
         kind, step_m = _ROW_STEPS_M[item.kind]
-        places = _along(shapely.LineString(item.points_W_m).intersection(site.place.hull), step_m)
-        return [thing for xy in places for thing in _stood(item, kind, xy, site)]
+        found: list[StandingObject] = []
+        for line in shapely.get_parts(shapely.LineString(points_m).intersection(site.place.hull)):
+            if line.geom_type == "LineString" and line.length > 0.0:
+                count = max(1, round(line.length / step_m))
+                shares = np.linspace(0.0, 1.0, count + 1)
+                stations = shapely.line_interpolate_point(line, shares, normalized=True)
+                for xy_m in shapely.get_coordinates(stations):
+                    found += _beside(item, kind, xy_m, site)
+        return found
     kind = _pick_look(item)
-    if not kind or (len(item.points_W_m) > 1 and not item.filled):
+    if not kind or (is_line and not item.filled):
         return []
-    middle = item.points_W_m[:-1].mean(axis=0) if len(item.points_W_m) > 3 else item.points_W_m.mean(axis=0)
-    return _stood(item, kind, middle, site)
+    # An outline ends where it starts, so its last point does not count.
+    middle = (points_m[:-1] if len(points_m) > 3 else points_m).mean(axis=0)
+    return _beside(item, kind, middle, site)
 
 
 def _pick_look(item: Item) -> str:
@@ -205,34 +307,19 @@ def _pick_look(item: Item) -> str:
     return "bollard" if item.group == "barrier" and len(item.points_W_m) == 1 else ""
 
 
-def _stood(item: Item, kind: str, middle: F64, site: _Site) -> list[StandingObject]:
+def _beside(item: Item, kind: str, middle: F64, site: _Site) -> list[StandingObject]:
     """The thing where it is mapped, or as little aside as needed, or none."""
     away = site.away(middle)
-    facing = _mapped_direction(item.tags)
-    if facing is None:
-        facing = yaw_of(-away)  # things look at those who walk by
-    places_m = (middle + shift_m * away for shift_m in SHIFTS_M)
-    return site.place.room_for(kind, places_m, facing)
-
-
-def _mapped_direction(tags: dict[str, str]) -> float | None:
-    """The yaw that a thing faces by its tag `direction`: degrees from north, or a point of the compass."""
-    text = tags.get("direction", "").strip().upper()
+    # The tag has a point of the compass or degrees from north. Without it things look at those who
+    # walk by.
+    text = item.tags.get("direction", "").strip().upper()
     if text in _COMPASS:
-        return yaw_from_sumo(_COMPASS.index(text) * 360.0 / len(_COMPASS))
-    degrees = metres(text)
-    return None if degrees is None else yaw_from_sumo(degrees)
-
-
-def _along(lines: BaseGeometry, step_m: float) -> F64:
-    """Points (n, 2) on lines, about a step apart."""
-    places: list[F64] = [np.zeros((0, 2))]
-    for line in shapely.get_parts(lines):
-        if line.geom_type == "LineString" and line.length > 0.0:
-            count = max(1, round(line.length / step_m))
-            stations = shapely.line_interpolate_point(line, np.linspace(0.0, 1.0, count + 1), normalized=True)
-            places.append(shapely.get_coordinates(stations))
-    return np.concatenate(places)
+        degrees: float | None = _COMPASS.index(text) * 360.0 / len(_COMPASS)
+    else:
+        degrees = metres(text)
+    facing_rad = yaw_of(-away) if degrees is None else yaw_from_sumo(degrees)
+    places_m = (middle + shift_m * away for shift_m in SHIFTS_M)
+    return site.place.room_for(kind, places_m, facing_rad)
 
 
 def _barriers(item: Item, site: _Site) -> list[StandingObject]:
@@ -252,90 +339,12 @@ def _barriers(item: Item, site: _Site) -> list[StandingObject]:
     near = band.buffer(2.0).bounds
     lines, low, solid = (patches.near(near) for patches in site.near)
     blocked = shapely.union_all([lines.buffer(CLEAR_M + thick_m, quad_segs=2), low, solid])
-    return [
-        _thing(part, [solid_shapes.prism(shapely.segmentize(part, LONGEST_M), FOOT_M, height_m, class_id)])
-        for part in _solid_parts(band.difference(blocked))
-    ]
-
-
-def _solid_parts(area: BaseGeometry) -> list[Polygon]:
-    """The polygons of an area on a centimetre grid, crumbs left out."""
-    parts = [shapely.set_precision(part, 0.01) for part in shapely.get_parts(area)]
-    return [solid for part in parts for solid in polygons_of(part, 0.05) if solid.is_valid]
-
-
-LOOK_OF = {kind: look for look, kinds in _DATA["looks"].items() for kind in kinds.split()}
-"""Looks of mapped points by the second word of their type; "" for what stands nowhere."""
-
-_ROW_STEPS_M = {"tree_row": ("tree", TREE_STEP_M), "bollard": ("bollard", POST_STEP_M), "chain": ("bollard", 2.0)}
-_LINE_SPECS: dict[str, tuple[float, float, int]] = {  # height and thickness in metres, class
-    kind: (high_m, thick_m, ClassId[name]) for kind, (high_m, thick_m, name) in _DATA["lines"].items()
-}
-
-
-_SAME_STOP_M = 12.0  # a mapped stop so near to one of SUMO's is the same one
-FARTHEST_M = 14.0  # from the middle of the lane to the pole
-STEP_M = 0.35
-ALONG_M = (0.0, 1.5, -1.5, 3.0, -3.0, 5.0, -5.0, 7.0, -7.0)
-
-
-def _stop_things(items: list[Item], place: FreeGround, lefthand: bool) -> list[StandingObject]:
-    """What stands at SUMO's stops, and at mapped ones of which SUMO knows nothing."""
+    # What is left goes on a grid of a centimetre, without crumbs.
     found: list[StandingObject] = []
-    known = [item for item in items if item.group == "stop"]
-    middles = shapely.MultiPoint([item.points_W_m[1] for item in known])
-    for item in known:
-        found += _at_stop(item, place, lefthand)
-    for item in items:
-        if item.group == "highway" and item.kind == "bus_stop" and not item.author:
-            here = shapely.Point(item.points_W_m.mean(axis=0))
-            if middles.is_empty or not shapely.dwithin(middles, here, _SAME_STOP_M):
-                found += _mapped(item, place)
+    for part in shapely.get_parts(band.difference(blocked)):
+        for area in polygons_of(shapely.set_precision(part, 0.01), 0.05):
+            if area.is_valid:
+                outline = shapely.segmentize(area, LONGEST_M)
+                piece = solid_shapes.prism(outline, FOOT_M, height_m, class_id)
+                found.append(_thing(area, piece))
     return found
-
-
-def _at_stop(item: Item, place: FreeGround, lefthand: bool) -> list[StandingObject]:
-    """A pole near the front of the stop and a shelter near its middle, both on the side where people wait.
-
-    The pole looks at those who come, the shelter at the road.
-    """
-    start, middle, end = item.points_W_m
-    along = unit(end - start)
-    aside = left_of(along) * (1.0 if lefthand else -1.0)
-    pole_at = end - min(1.0, 0.25 * float(np.hypot(*(end - start)))) * along
-    pole = place.put("stop_pole", _outward(pole_at, along, aside), yaw_of(-along))
-    return [*pole, *place.put("shelter", _outward(middle, along, aside, 1.2), yaw_of(-aside))]
-
-
-def _mapped(item: Item, place: FreeGround) -> list[StandingObject]:
-    """A pole where the map has it, or near by; a shelter only where the map says so."""
-    middle = item.points_W_m.mean(axis=0)
-    nearest = shapely.get_coordinates(shapely.shortest_line(place.low, shapely.Point(middle)))
-    towards = nearest[0] - middle if len(nearest) else np.array([0.0, 1.0])
-    distance_m = float(np.hypot(*towards))
-    aside = -towards / distance_m if distance_m > 1e-6 else np.array([0.0, -1.0])
-    along = left_of(aside)
-    kinds = ("shelter", "stop_pole") if item.tags.get("shelter") == "yes" else ("stop_pole",)
-    found = (place.put(kind, _outward(middle, along, aside, 0.0, 3.0), yaw_of(-aside)) for kind in kinds)
-    return next(filter(None, found), [])
-
-
-def _outward(start_m: F64, along: F64, aside: F64, least_m: float = 0.5, most_m: float = FARTHEST_M) -> Iterator[F64]:
-    """Places beside a point, the nearest to the road first."""
-    for aside_m in np.arange(least_m, most_m, STEP_M):
-        for along_m in ALONG_M:
-            yield start_m + aside_m * aside + along_m * along
-
-
-def place_furniture(
-    items: list[Item], net: Net, additional: tuple[Path, ...], place: FreeGround, placed: list[StandingObject]
-) -> list[StandingObject]:
-    """What the author placed, then signals, stops, signs and mapped furniture where these leave room."""
-    place.take(placed)
-    return [
-        *placed,
-        *signal_things(net, additional, place),
-        *_stop_things(items, place, net.lefthand),
-        *sign_things(items, net, place),
-        *_place_mapped(items, place),
-    ]

@@ -1,6 +1,7 @@
-"""What each kind of street furniture looks like, in a frame of its own: x along its long side, y its front, z up.
+"""What each kind of street furniture looks like, in a frame of its own.
 
-Height 0 is the ground; whatever stands on it reaches a little deeper, because ground falls at crossings and on hills.
+x is along its long side, y its front, z up. Height 0 is the ground. Whatever stands on it reaches a
+little deeper, because ground falls at crossings and on hills.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ FOOT_M = -0.25  # how deep things reach into the ground
 
 Make = Callable[[np.random.Generator], list[Solid]]
 _HERE = np.zeros(2)
+_BIKE = ClassId.BICYCLE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,12 +40,18 @@ def _box(
 ) -> Solid:
     """A box on the ground, or with a floor when it hangs at `low_m`."""
     if low_m is None:
-        return solid_shapes.box(np.array(at), (size[0], size[1], size[2] - FOOT_M), FOOT_M, 0.0, class_id)
+        return solid_shapes.box(
+            np.array(at), (size[0], size[1], size[2] - FOOT_M), FOOT_M, 0.0, class_id
+        )
     return solid_shapes.box(np.array(at), size, low_m, 0.0, class_id, floor=True)
 
 
 def _post(
-    radius_m: float, high_m: float, class_id: int = ClassId.POLE, at: tuple[float, float] = (0.0, 0.0), sides: int = 6
+    radius_m: float,
+    high_m: float,
+    class_id: int = ClassId.POLE,
+    at: tuple[float, float] = (0.0, 0.0),
+    sides: int = 6,
 ) -> Solid:
     return solid_shapes.post(np.array(at), radius_m, FOOT_M, high_m, class_id, sides)
 
@@ -52,7 +60,10 @@ def _tree(rng: np.random.Generator) -> list[Solid]:
     radius_m, top_m = rng.uniform(1.3, 2.4), rng.uniform(5.5, 9.0)
     middle_m = 2.5 + 0.4 * (top_m - 2.5)
     levels = ((0.0, 2.4), (radius_m, middle_m), (0.6 * radius_m, 0.8 * top_m), (0.0, top_m))
-    return [_post(0.15, 2.6, ClassId.VEGETATION), solid_shapes.spindle(_HERE, levels, ClassId.VEGETATION)]
+    return [
+        _post(0.15, 2.6, ClassId.VEGETATION),
+        solid_shapes.spindle(_HERE, levels, ClassId.VEGETATION),
+    ]
 
 
 def _shrub(rng: np.random.Generator) -> list[Solid]:
@@ -81,7 +92,6 @@ def _leaning(side: float) -> Solid:
     return replace(board, vertices_W_m=corners)
 
 
-_BIKE = ClassId.BICYCLE
 _PLAIN_BICYCLE = solid_shapes.joined(
     [
         *(solid_shapes.disc(x, 0.34, 0.05, _BIKE, sides=6) for x in (-0.54, 0.54)),
@@ -97,13 +107,12 @@ def _read_looks() -> Iterator[tuple[str, _FurnitureModel]]:
     """The models of `models.toml` with their kinds."""
     for kind, look in read_module_toml(__file__).items():
         length_m, width_m, height_m = look["size"]
-        pieces = (_placed(row, (x, y)) for row in look["pieces"] for x, y in row.get("at", [(0.0, 0.0)]))
-        yield (
-            kind,
-            _FurnitureModel(
-                size_lwh_m=(length_m, width_m, height_m), pieces=list(pieces), round=look.get("round", False)
-            ),
-        )
+        pieces: list[Solid] = []
+        for row in look["pieces"]:
+            pieces += [_placed(row, (x, y)) for x, y in row.get("at", [(0.0, 0.0)])]
+        size_lwh_m = (length_m, width_m, height_m)
+        is_round = look.get("round", False)
+        yield kind, _FurnitureModel(size_lwh_m=size_lwh_m, pieces=pieces, round=is_round)
 
 
 def _placed(row: dict[str, Any], at: tuple[float, float]) -> Solid:
@@ -114,10 +123,11 @@ def _placed(row: dict[str, Any], at: tuple[float, float]) -> Solid:
     if "disc" in row:
         x_m, radius_m, thick_m = row["disc"]
         return solid_shapes.disc(x_m, radius_m, thick_m, ClassId[row["class"]])
+    class_id = ClassId[row.get("class", "STATIC")]
     if "spindle" in row:
-        return solid_shapes.spindle(np.array(at), row["spindle"], ClassId[row.get("class", "STATIC")], sides=6)
+        return solid_shapes.spindle(np.array(at), row["spindle"], class_id, sides=6)
     length_m, width_m, height_m = row["box"]
-    return _box((length_m, width_m, height_m), ClassId[row.get("class", "STATIC")], at, row.get("low_m"))
+    return _box((length_m, width_m, height_m), class_id, at, row.get("low_m"))
 
 
 LOOKS = dict(_read_looks())
@@ -127,7 +137,11 @@ LOOKS |= {
     "roadworks": _FurnitureModel(
         size_lwh_m=(2.0, 1.2, 1.0),
         pieces=[
-            *(solid_shapes.moved(piece, np.array([0.0, y])) for y in (-0.4, 0.4) for piece in LOOKS["barrier"].pieces),
+            *(
+                solid_shapes.moved(piece, np.array([0.0, y]))
+                for y in (-0.4, 0.4)
+                for piece in LOOKS["barrier"].pieces
+            ),
             _box((0.9, 0.4, 0.45), ClassId.DYNAMIC),
         ],
     ),

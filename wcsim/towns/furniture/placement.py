@@ -1,4 +1,4 @@
-"""Things that stand in the street: what they look like, what they take of the ground, and at what height they stand."""
+"""Things in the street: what they look like, which ground they take, and how high they stand."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable
@@ -26,7 +26,8 @@ HeightAt = Callable[[F64], F64]
 class StandingObject:
     """A piece that stands in the street, and the ground below 2 m height that it takes.
 
-    Heights are above the ground at `base_m`, or, where it follows the ground, above the ground below each vertex.
+    Heights are above the ground at `base_m`, or, where it follows the ground, above the ground
+    below each vertex.
     """
 
     piece: Solid
@@ -52,7 +53,9 @@ class Taken:
     def free(self, footprint: Polygon, gap_m: float = 0.0) -> bool:
         """True when nothing that was added comes nearer to a footprint than the gap."""
         wide = footprint.buffer(gap_m, quad_segs=1) if gap_m > 0.0 else footprint
-        return not any(wide.intersects(other) for cell in self._over(wide) for other in self._cells[cell])
+        return not any(
+            wide.intersects(other) for cell in self._over(wide) for other in self._cells[cell]
+        )
 
     def _over(self, footprint: Polygon) -> list[tuple[int, int]]:
         x0, y0, x1, y1 = (int(v) for v in np.floor(np.array(footprint.bounds) / _CELL_M))
@@ -80,7 +83,7 @@ class FreeGround:
             self.taken.add(thing.footprint)
 
     def free(self, footprint: Polygon) -> bool:
-        """True when a footprint is off the road, out of all things, inside the town and clear of the walking lines."""
+        """True when a footprint is in the town, off the road, and clear of things and walkers."""
         return bool(
             self.hull.contains(footprint)
             and not self.low.intersects(footprint)
@@ -89,12 +92,14 @@ class FreeGround:
             and self.taken.free(footprint)
         )
 
-    def room_for(self, kind: str, places_m: Iterable[F64], facing_rad: float) -> list[StandingObject]:
-        """One thing of a kind at the first of some places where there is room for it, if there is one."""
+    def room_for(
+        self, kind: str, places_m: Iterable[F64], facing_rad: float
+    ) -> list[StandingObject]:
+        """One thing of a kind at the first of some places with room for it, if there is one."""
         yaw_rad = facing_rad - np.pi / 2
         for xy_m in places_m:
             if self.free(_footprint_of(kind, xy_m, yaw_rad, LOOKS[kind].size_lwh_m)):
-                return [stood(kind, xy_m, yaw_rad)]
+                return [standing_object(kind, xy_m, yaw_rad)]
         return []
 
     def put(self, kind: str, places_m: Iterable[F64], facing_rad: float) -> list[StandingObject]:
@@ -112,35 +117,47 @@ class FreeGround:
         return free
 
 
-def stood(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, float] | None = None) -> StandingObject:
-    """One thing of a kind of `looks.LOOKS`, its long side along yaw and its front to the left of it."""
+def standing_object(
+    kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, float] | None = None
+) -> StandingObject:
+    """One thing of a kind of `LOOKS`, its long side along yaw and its front to the left of it."""
     look = LOOKS[kind]
     size_m = size_lwh_m or look.size_lwh_m
-    # Things may lie within a millimetre of each other on two machines, and must look the same on both.
-    pieces = look.make(make_rng(0, kind, *(int(abs(c) * 10) for c in xy_m))) if look.make else look.pieces
+    pieces = look.pieces
+    # A thing may lie a millimetre aside on another machine, and must look the same on both.
+    if look.make:
+        pieces = look.make(make_rng(0, kind, *(int(abs(c) * 10) for c in xy_m)))
     piece = solid_shapes.joined(pieces)
     if size_lwh_m is not None:
         l0, w0, h0 = look.size_lwh_m
         piece = solid_shapes.scaled(piece, (size_m[0] / l0, size_m[1] / w0, size_m[2] / h0))
-    footprint = _footprint_of(kind, xy_m, yaw_rad, size_m)
-    return StandingObject(piece=solid_shapes.moved(piece, xy_m, yaw_rad), footprint=footprint, base_m=np.asarray(xy_m))
+    return StandingObject(
+        piece=solid_shapes.moved(piece, xy_m, yaw_rad),
+        footprint=_footprint_of(kind, xy_m, yaw_rad, size_m),
+        base_m=np.asarray(xy_m),
+    )
 
 
-def _footprint_of(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, float]) -> Polygon:
-    """The ground that a thing takes."""
-    length_m, width_m, _ = size_lwh_m
-    if LOOKS[kind].round and length_m == width_m:
-        return shapely.Point(xy_m).buffer(length_m / 2, quad_segs=2)
-    return solid_shapes.rectangle(xy_m, length_m, width_m, yaw_rad)
-
-
-def set_on_ground(things: Iterable[StandingObject], height_at: HeightAt) -> tuple[list[Solid], tuple[SignalHead, ...]]:
-    """The pieces of all things, and the heads of all signals, at the height of the ground where they stand."""
+def set_on_ground(
+    things: Iterable[StandingObject], height_at: HeightAt
+) -> tuple[list[Solid], tuple[SignalHead, ...]]:
+    """The pieces of all things, and the heads of all signals, at the height of their ground."""
     pieces: list[Solid] = []
     heads: list[SignalHead] = []
     for thing in things:
         base_m = float(height_at(thing.base_m[None])[0])
         lift_m = height_at(thing.piece.vertices_W_m[:, :2]) if thing.follows else base_m
         pieces.append(solid_shapes.raised(thing.piece, lift_m))
-        heads += [replace(head, p_W_m=head.p_W_m + np.array([0.0, 0.0, base_m])) for head in thing.heads]
+        up_m = np.array([0.0, 0.0, base_m])
+        heads += [replace(head, p_W_m=head.p_W_m + up_m) for head in thing.heads]
     return pieces, tuple(heads)
+
+
+def _footprint_of(
+    kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, float]
+) -> Polygon:
+    """The ground that a thing takes."""
+    length_m, width_m, _ = size_lwh_m
+    if LOOKS[kind].round and length_m == width_m:
+        return shapely.Point(xy_m).buffer(length_m / 2, quad_segs=2)
+    return solid_shapes.rectangle(xy_m, length_m, width_m, yaw_rad)

@@ -1,1 +1,1 @@
-"""The ground as polygons, triangles and rasters: surfaces, heights, kerbs, tiles. Nothing that stands on it."""
+"""The ground as polygons, triangles and rasters, without what stands on it."""

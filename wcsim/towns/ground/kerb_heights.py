@@ -1,4 +1,4 @@
-"""How high kerbs stand, and where they are lowered: at crossings, and where OpenStreetMap says so."""
+"""How high kerbs stand, and where they are lowered: at crossings, and where a map says so."""
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
@@ -16,7 +16,8 @@ _RAMP_RUN = 12.6  # metres of ramp for one metre of height: 1:12 also where a ri
 STEEPEST = 1.0 / 12.0
 _RING_CHORD = 0.96  # the chords of a ring come this close to the middle of its arc
 NEAR_M = 1.5  # a kerb that is mapped this far from ours is the same one
-_AT_CROSSING_M = 3.0  # ... at a crossing, where there is no other: SUMO's roads are not as wide as the real ones
+# The same at a crossing, where there is no other kerb. SUMO's roads are not as wide as real ones.
+_AT_CROSSING_M = 3.0
 _AHEAD_M = 0.2  # from the corners of the mouth of a crossing lies what is ahead of it
 HALF_WIDTH_M = 0.75  # of a lowered place that is mapped as a point
 _NODE_M = 12.0  # at most from the node of a crossing to its kerbs
@@ -30,7 +31,9 @@ class KerbMark:
 
     line: BaseGeometry  # a point or a line, in W
     height_m: float  # infinite: raised, as high as the town's
-    side: int = 0  # 0: it lies there; 1 or -1: it is the left or right one of a street whose middle is the line
+    # At 0 the kerb lies on the line. At 1 or -1 the line is the middle of a street whose left or
+    # right kerb it is.
+    side: int = 0
     crossing: bool = False  # the point is a crossing, with a kerb at both its ends
 
 
@@ -52,7 +55,10 @@ class Kerbing:
     lowered: tuple[_Lowered, ...]  # by height
 
     def height_m(self, xy_m: F64) -> F64:
-        """Height (n,) of raised ground at (n, 2): every ramp rises at the same grade, and the lowest one counts."""
+        """Height (n,) of raised ground at (n, 2).
+
+        Every ramp rises at the same grade, and the lowest one counts.
+        """
         height_m = np.full(len(xy_m), self.top_m)
         places = shapely.points(xy_m)
         for low in self.lowered:
@@ -60,16 +66,20 @@ class Kerbing:
                 places, max_distance=low.ramp_m, return_distance=True, all_matches=False
             )
             share = np.clip(far_m / (_RING_CHORD * low.ramp_m), 0.0, 1.0)
-            height_m[index] = np.minimum(height_m[index], low.drop_m + (self.top_m - low.drop_m) * share)
+            on_ramp_m = low.drop_m + (self.top_m - low.drop_m) * share
+            height_m[index] = np.minimum(height_m[index], on_ramp_m)
         rounded: F64 = np.round(height_m, 5)
         return rounded
 
 
-def make_kerbing(surfaces: Surfaces, top_m: float, drop_m: float, marks: Collection[KerbMark] = ()) -> Kerbing:
-    """Kerbs are lowered where the edge of a crossing touches pavement, and where they are mapped as lowered.
+def make_kerbing(
+    surfaces: Surfaces, top_m: float, drop_m: float, marks: Collection[KerbMark] = ()
+) -> Kerbing:
+    """Lower kerbs where the edge of a crossing touches pavement, and where a map has lowered ones.
 
     A crossing whose kerb is mapped as raised keeps it.
     """
+    # 1. Find where crossings meet the pavement.
     bank = buffered(surfaces.pavement, 2 * GRID_M)
     edge = _lines(surfaces.crossing.boundary.intersection(bank))
     mouths = _lines(shapely.line_merge(shapely.MultiLineString(edge)))
@@ -78,22 +88,28 @@ def make_kerbing(surfaces: Surfaces, top_m: float, drop_m: float, marks: Collect
     def kerb_near(area: BaseGeometry) -> BaseGeometry:
         return edges.near(area.bounds).intersection(banks.near(area.bounds))
 
-    sides = [
-        (shapely.MultiLineString(_lines(_along(mark, kerb_near(mark.line.buffer(_ACROSS_M))))), mark.height_m)
-        for mark in marks
-        if mark.side
-    ]
+    # 2. Find the kerbs of streets whose middle is mapped.
+    sides: list[tuple[BaseGeometry, float]] = []
+    for mark in marks:
+        if mark.side:
+            lines = _lines(_along(mark, kerb_near(mark.line.buffer(_ACROSS_M))))
+            sides.append((shapely.MultiLineString(lines), mark.height_m))
+
+    # 3. Decide on the heights at the crossings, then on those of other stretches.
     lips_m = _lips_m(mouths, sides, marks, top_m, drop_m)
-    groups: dict[float, list[BaseGeometry]] = {}
-    elsewhere = [(line, lip_m) for lines, lip_m in sides for line in lines.geoms]
-    for mark in marks:  # stretches of kerb between road and pavement
+    elsewhere = [(line, lip_m) for street, lip_m in sides for line in street.geoms]
+    for mark in marks:
         if mark.side or mark.crossing or mark.height_m >= top_m:
             continue
         near = mark.line.buffer(NEAR_M)
         kerb = kerb_near(near)
-        if mark.line.geom_type == "Point" and not kerb.is_empty and shapely.dwithin(kerb, mark.line, NEAR_M):
+        is_point = mark.line.geom_type == "Point" and not kerb.is_empty
+        if is_point and shapely.dwithin(kerb, mark.line, NEAR_M):
             near = shapely.shortest_line(kerb, mark.line).interpolate(0.0).buffer(HALF_WIDTH_M)
         elsewhere += [(line, mark.height_m) for line in _lines(kerb.intersection(near))]
+
+    # 4. Gather what is lowered by its height.
+    groups: dict[float, list[BaseGeometry]] = {}
     for line, lip_m in [*zip(mouths, lips_m, strict=True), *elsewhere]:
         if lip_m < top_m:
             groups.setdefault(lip_m, []).append(line)
@@ -115,13 +131,17 @@ def _along(mark: KerbMark, kerb: BaseGeometry) -> BaseGeometry:
     if line.geom_type != "LineString" or kerb.is_empty:
         return shapely.MultiLineString()
     at_m = np.arange(0.5 * _EVERY_M, max(line.length, _EVERY_M), _EVERY_M)
-    here, ahead = (shapely.get_coordinates(shapely.line_interpolate_point(line, at_m + step)) for step in (-0.1, 0.1))
+    here, ahead = (
+        shapely.get_coordinates(shapely.line_interpolate_point(line, at_m + step))
+        for step in (-0.1, 0.1)
+    )
     along = (ahead - here) / np.maximum(np.linalg.norm(ahead - here, axis=1, keepdims=True), 1e-9)
     rays = shapely.linestrings(
         np.stack([here, here + _ACROSS_M * np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
     )
     hits = shapely.intersection(rays, kerb)
-    first = shapely.get_point(shapely.shortest_line(hits, shapely.points(here)), 0)  # none where nothing is met
+    # A ray that meets nothing has no such point.
+    first = shapely.get_point(shapely.shortest_line(hits, shapely.points(here)), 0)
     return kerb.intersection(shapely.union_all(first).buffer(0.6 * _EVERY_M))
 
 
@@ -132,42 +152,45 @@ def _lips_m(
     top_m: float,
     drop_m: float,
 ) -> list[float]:
-    """Height of the kerb at each mouth of a crossing.
-
-    What is mapped nearest decides: a kerb beside it, then the crossing's own, then the street's, then the town's.
-    """
+    """Height of the kerb at each mouth of a crossing: what is mapped nearest decides."""
+    # 1. A street's kerb is nearer than what the town says.
     lips_m = [drop_m] * len(mouths)
     tree = shapely.STRtree(mouths)
     for lines, lip_m in sides:
         for number in tree.query(lines, predicate="dwithin", distance=NEAR_M).tolist():
             lips_m[number] = lip_m
+
+    # 2. So is what the crossing itself says: of the nearest mouth, and of that as far away on the
+    # other side.
     for mark in marks:
-        for number in _both_ends(mark, mouths, tree) if mark.crossing else ():
-            lips_m[number] = mark.height_m
+        if not mark.crossing:
+            continue
+        nearest = tree.query_nearest(mark.line, max_distance=_NODE_M, all_matches=False)
+        for number in nearest[:1].tolist():
+            end = shapely.shortest_line(mouths[number], mark.line)
+            other = shapely.affinity.rotate(end, 180.0, origin=mark.line.centroid).interpolate(0.0)
+            reach_m = max(_AT_CROSSING_M, end.length)
+            across = tree.query_nearest(other, max_distance=reach_m, all_matches=False)
+            for lowered in (number, *across.tolist()):
+                lips_m[lowered] = mark.height_m
+
+    # 3. A kerb beside it is nearest. A raised one farther away to the side is that of the street.
     near = [mark for mark in marks if not mark.side and not mark.crossing]
-    if near and mouths:
-        (which, found), far_m = shapely.STRtree([mark.line for mark in near]).query_nearest(
-            mouths, max_distance=_AT_CROSSING_M, return_distance=True, all_matches=False
-        )
-        for i, k, gap_m in zip(which.tolist(), found.tolist(), far_m.tolist(), strict=True):
-            # A raised kerb that lies farther away to the side is that of the street.
-            along_m = mouths[i].project(shapely.shortest_line(mouths[i], near[k].line).interpolate(0.0))
-            ahead = _AHEAD_M < along_m < mouths[i].length - _AHEAD_M
-            if gap_m <= NEAR_M or ahead or near[k].height_m < top_m:
-                lips_m[i] = near[k].height_m
+    if not near or not mouths:
+        return lips_m
+    (which, found), far_m = shapely.STRtree([mark.line for mark in near]).query_nearest(
+        mouths, max_distance=_AT_CROSSING_M, return_distance=True, all_matches=False
+    )
+    for i, k, gap_m in zip(which.tolist(), found.tolist(), far_m.tolist(), strict=True):
+        mouth, mark = mouths[i], near[k]
+        along_m = mouth.project(shapely.shortest_line(mouth, mark.line).interpolate(0.0))
+        ahead = _AHEAD_M < along_m < mouth.length - _AHEAD_M
+        if gap_m <= NEAR_M or ahead or mark.height_m < top_m:
+            lips_m[i] = mark.height_m
     return lips_m
-
-
-def _both_ends(mark: KerbMark, mouths: list[BaseGeometry], tree: shapely.STRtree) -> list[int]:
-    """The numbers of the mouths of a mapped crossing: the nearest one, and that as far away on the other side."""
-    for number in tree.query_nearest(mark.line, max_distance=_NODE_M, all_matches=False).tolist():
-        end = shapely.shortest_line(mouths[number], mark.line)
-        other = shapely.affinity.rotate(end, 180.0, origin=mark.line.centroid).interpolate(0.0)
-        reach_m = max(_AT_CROSSING_M, end.length)
-        return [number, *tree.query_nearest(other, max_distance=reach_m, all_matches=False).tolist()]
-    return []
 
 
 def _lines(geometry: BaseGeometry) -> list[BaseGeometry]:
     """The lines of a geometry, crumbs left out."""
-    return [part for part in shapely.get_parts(geometry) if part.geom_type == "LineString" and part.length > 0.1]
+    lines = [part for part in shapely.get_parts(geometry) if part.geom_type == "LineString"]
+    return [line for line in lines if line.length > 0.1]

@@ -1,4 +1,4 @@
-"""Work on areas as large as a city: what lies near a place, and buffers, at a cost that grows with the area alone."""
+"""Plane geometry, also for areas as large as a city: its cost grows with the area alone."""
 
 from typing import Literal
 
@@ -11,13 +11,16 @@ from wcsim.types import F64
 
 _FINEST_M = 64.0
 BLOCK_M = 400.0
-_LAP_M = 0.05  # of blocks: side by side they would part along cracks as thin as a number's last digit
+# Blocks overlap. Side by side they would part along cracks as thin as a number's last digit.
+_LAP_M = 0.05
 WHOLE_M = 1200.0  # areas up to this size are buffered as they are
 _ARC = 16  # segments a quarter circle: shapely's own
 
 
 def cross_z(a: F64, b: F64) -> F64:
-    """Upward component (...,) of the cross product of plane vectors (..., 2); positive when b lies to the left of a.
+    """Upward component (...,) of the cross product of plane vectors (..., 2).
+
+    It is positive when b lies to the left of a.
 
     >>> float(cross_z(np.array([1.0, 0.0]), np.array([0.0, 2.0])))
     2.0
@@ -57,26 +60,23 @@ def length_of(points_m: F64) -> float:
 
 
 def valid(area: BaseGeometry) -> BaseGeometry:
-    """The same area, mended where it crosses itself, at which overlays fail: buffers on a grid and fast clips do."""
-    return area if area.is_valid else shapely.make_valid(area, method="structure", keep_collapsed=False)
+    """The same area, mended where it crosses itself.
+
+    Buffers on a grid and fast clips cross themselves, and overlays fail there.
+    """
+    if area.is_valid:
+        return area
+    return shapely.make_valid(area, method="structure", keep_collapsed=False)
 
 
 def polygons_of(area: BaseGeometry, least_m2: float = 0.0) -> list[Polygon]:
-    """The polygons in a geometry that are larger than so much; its lines and points are left out."""
+    """The polygons in a geometry that are larger than so much, without its lines and points."""
     parts = [part for whole in shapely.get_parts(area) for part in shapely.get_parts(whole)]
     return [part for part in parts if part.geom_type == "Polygon" and part.area > least_m2]
 
 
-def _clipped(area: BaseGeometry, bounds: tuple[float, float, float, float]) -> BaseGeometry:
-    """The part of an area inside a rectangle; GEOS 3.14's fast clipping fails where an area only touches it."""
-    try:
-        return valid(shapely.clip_by_rect(area, *bounds))
-    except shapely.GEOSException:
-        return area.intersection(shapely.box(*bounds))
-
-
 class Patches:
-    """An area cut into overlapping squares of several sizes, so that none but small ones are ever clipped."""
+    """An area cut into overlapping squares of several sizes: only small ones are ever clipped."""
 
     def __init__(self, area: BaseGeometry) -> None:
         self._area = area
@@ -87,7 +87,7 @@ class Patches:
         self._cut: dict[tuple[int, int, int], BaseGeometry] = {}
 
     def near(self, bounds: tuple[float, float, float, float]) -> BaseGeometry:
-        """The part of the area inside a rectangle (x0, y0, x1, y1); none in the bounds of nothing, all NaN."""
+        """The part of the area inside a rectangle (x0, y0, x1, y1); empty where all are NaN."""
         x0, y0, x1, y1 = bounds
         if np.isnan(x0):
             return Polygon()
@@ -119,10 +119,13 @@ def buffered(
     mitre_limit: float = 5.0,
     quad_segs: int = _ARC,
 ) -> BaseGeometry:
-    """As shapely's own buffer, which takes the square of the time for an area with many parts or holes."""
+    """As shapely's own buffer, whose time grows with the square of an area's parts and holes."""
 
     def buffer(part: BaseGeometry) -> BaseGeometry:
-        return valid(part.buffer(distance_m, quad_segs=quad_segs, join_style=join_style, mitre_limit=mitre_limit))
+        wide = part.buffer(
+            distance_m, quad_segs=quad_segs, join_style=join_style, mitre_limit=mitre_limit
+        )
+        return valid(wide)
 
     x0, y0, x1, y1 = area.bounds if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
     if max(x1 - x0, y1 - y0) <= WHOLE_M:
@@ -132,7 +135,18 @@ def buffered(
     blocks: list[BaseGeometry] = []
     for x in np.arange(x0 - reach_m, x1 + reach_m, BLOCK_M):
         for y in np.arange(y0 - reach_m, y1 + reach_m, BLOCK_M):
-            near = patches.near((x - beside_m, y - beside_m, x + BLOCK_M + beside_m, y + BLOCK_M + beside_m))
+            end_x, end_y = x + BLOCK_M, y + BLOCK_M
+            around = (x - beside_m, y - beside_m, end_x + beside_m, end_y + beside_m)
+            near = patches.near(around)
             if not near.is_empty:
-                blocks.append(_clipped(buffer(near), (x, y, x + BLOCK_M + _LAP_M, y + BLOCK_M + _LAP_M)))
+                blocks.append(_clipped(buffer(near), (x, y, end_x + _LAP_M, end_y + _LAP_M)))
     return shapely.union_all(blocks)
+
+
+def _clipped(area: BaseGeometry, bounds: tuple[float, float, float, float]) -> BaseGeometry:
+    """The part of an area inside a rectangle."""
+    # GEOS 3.14's fast clipping fails where an area only touches the rectangle.
+    try:
+        return valid(shapely.clip_by_rect(area, *bounds))
+    except shapely.GEOSException:
+        return area.intersection(shapely.box(*bounds))

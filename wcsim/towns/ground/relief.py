@@ -1,7 +1,7 @@
-"""The lie of the land, from the heights of a net's own shapes: one truth for SUMO's slopes and the wheels.
+"""The lie of the land, from the heights of a net: SUMO's slopes and the wheels share it.
 
-A lattice surface that runs close by the heights of all lanes and bends as little as possible between and beyond them.
-Where one way passes over another, the lower one is the land, and the upper one is no ground.
+A lattice runs close by the heights of all lanes, and bends as little as possible elsewhere. Where
+one way passes over another, the lower one is the land, and the upper one is no ground.
 """
 
 from dataclasses import dataclass, replace
@@ -13,8 +13,8 @@ from wcsim.towns.sumo.net import Lane, LaneKind, Net
 from wcsim.types import F64, I32, Bool, Relief
 from wcsim.types.street import FLAT
 
-SHORTEST_M = 0.5  # shorter pieces say nothing about a grade: coordinates are rounded to a centimetre
-
+# Shorter pieces say nothing about a grade: coordinates are rounded to a centimetre.
+SHORTEST_M = 0.5
 CELL_M = 8.0  # a whole fraction of a ground chunk, so that both share their borders
 REACH_M = 48.0  # of the lattice beyond the outermost street
 _SAMPLE_M = 4.0  # along lanes
@@ -22,7 +22,8 @@ OVER_M = 2.5  # a way this much above another one at the same place is a bridge
 BESIDE_M = 3.0  # samples of two ways that cross come as near to each other
 BRIDGE_M = 40.0  # this far to both sides of where it passes over the other
 _OFF_M = 2.0  # parts of bridges farther than this from the land are no ground
-_ABSURD = 0.35  # no street is as steep: netconvert makes such heights on very short edges
+# No street is as steep: netconvert makes such heights on very short edges.
+_ABSURD = 0.35
 _STIFF_M3 = 60.0  # weight of bending against a metre of lane
 LEVEL_M = 300.0  # the land turns level over this distance where no street holds it
 AT_ONCE = 100_000  # samples
@@ -36,35 +37,44 @@ class _Samples:
 
     p_m: F64  # (n, 2)
     z_m: F64  # (n,)
-    weight_m: F64  # (n,) metres of way that a sample stands for, less where its height makes no sense
+    weight_m: F64  # (n,) metres of way that it stands for, less where its height is absurd
     way: I32  # (n,) number of the way
     arc_m: F64  # (n,) distance along it
 
 
 def fit_relief(net: Net) -> Relief:
     """The land of a net; `FLAT` where the net states no heights, or the same one everywhere."""
+    # 1. Take the heights of all ways but the bridges.
     ways = _ways(net)
     if not any(way.z_m.any() for way in ways):
         return FLAT
     samples = _samples(ways)
-    held = ~_on_bridge(samples)
-    p_m, z_m, weight_m = samples.p_m[held], samples.z_m[held], samples.weight_m[held]
+    low = ~_on_bridge(samples)
+    p_m, z_m, weight_m = samples.p_m[low], samples.z_m[low], samples.weight_m[low]
+
+    # 2. Begin with a level land.
     origin_m = np.floor((samples.p_m.min(axis=0) - REACH_M) / CELL_M) * CELL_M
     cols, rows = np.ceil((samples.p_m.max(axis=0) + REACH_M - origin_m) / CELL_M).astype(int) + 1
     place = (float(origin_m[0]), float(origin_m[1]))
+    level = np.full((2, 2), np.average(z_m, weights=weight_m), np.float32)
+    land = Relief(origin_W_m=place, cell_m=CELL_M, z_m=level)
+
+    # 3. Fit ever finer lattices. Each begins with the coarser one, so few gradients are enough.
     steps = [2**k for k in range(12) if k == 0 or 2 ** (k + 2) <= max(rows, cols)]
-    land = Relief(origin_W_m=place, cell_m=CELL_M, z_m=np.full((2, 2), np.average(z_m, weights=weight_m), np.float32))
     for step in reversed(steps):
         shape = (-(-(rows - 1) // step) + 1, -(-(cols - 1) // step) + 1)
         cell_m = CELL_M * step
-        nodes_m = place + cell_m * np.stack(np.meshgrid(np.arange(shape[1]), np.arange(shape[0])), axis=-1)
-        fitted = _fitted(land.at(nodes_m), cell_m, *_corners((p_m - place) / cell_m, shape), z_m, weight_m)
+        nodes = np.stack(np.meshgrid(np.arange(shape[1]), np.arange(shape[0])), axis=-1)
+        guess_m = land.at(place + cell_m * nodes)
+        corners, share = _corners((p_m - place) / cell_m, shape)
+        fitted = _fitted(guess_m, cell_m, corners, share, z_m, weight_m)
         land = Relief(origin_W_m=place, cell_m=cell_m, z_m=fitted.astype(np.float32))
     return replace(land, z_m=np.round(land.z_m, 3))
 
 
 def on_land(net: Net, relief: Relief) -> Net:
-    """The same net without what lies far above or below the land: the parts of bridges that others pass under."""
+    """The same net without the parts of bridges that lie far above or below the land."""
+    # 1. Find the samples that are off the land.
     ways = _ways(net)
     if relief is FLAT:
         return net
@@ -72,18 +82,53 @@ def on_land(net: Net, relief: Relief) -> Net:
     off = _on_bridge(samples) & (np.abs(samples.z_m - relief.at(samples.p_m)) > _OFF_M)
     if not off.any():
         return net
-    off_ways = set(samples.way[off].tolist())
-    pieces = {id(ways[k]): _kept(ways[k], samples, samples.way == k, off) for k in off_ways}
-    edges = tuple(
-        replace(edge, lanes=tuple(piece for lane in edge.lanes for piece in pieces.get(id(lane), [lane])))
-        for edge in net.edges
-    )
-    high = [j.z_m.size > 0 and np.abs(j.z_m - relief.at(j.outline_m)).min() > _OFF_M for j in net.junctions]
-    junctions = tuple(
-        replace(j, outline_m=j.outline_m[:0], z_m=j.z_m[:0]) if drop else j
-        for j, drop in zip(net.junctions, high, strict=True)
-    )
-    return replace(net, edges=edges, junctions=junctions)
+
+    # 2. Cut their ways. A walking area goes as a whole, as its shape is an outline.
+    pieces: dict[int, list[Lane]] = {}
+    for number in set(samples.way[off].tolist()):
+        way, own = ways[number], samples.way == number
+        found = pieces[id(way)] = []
+        if way.kind is LaneKind.WALKINGAREA:
+            continue
+        good = np.diff(np.r_[False, ~off[own], False].astype(int))
+        p_m, z_m = samples.p_m[own], samples.z_m[own]
+        for a, b in zip(np.flatnonzero(good > 0), np.flatnonzero(good < 0), strict=True):
+            if b - a > 1:
+                found.append(replace(way, points_m=p_m[a:b], z_m=z_m[a:b]))
+    edges = []
+    for edge in net.edges:
+        lanes = tuple(piece for lane in edge.lanes for piece in pieces.get(id(lane), [lane]))
+        edges.append(replace(edge, lanes=lanes))
+
+    # 3. Empty the junctions that lie up there.
+    junctions = []
+    for j in net.junctions:
+        high = j.z_m.size > 0 and np.abs(j.z_m - relief.at(j.outline_m)).min() > _OFF_M
+        junctions.append(replace(j, outline_m=j.outline_m[:0], z_m=j.z_m[:0]) if high else j)
+    return replace(net, edges=tuple(edges), junctions=tuple(junctions))
+
+
+def steepest_grade(net: Net) -> float:
+    """The largest rise over run along any lane of a net."""
+    lanes = net.every_lane
+    runs_m = [np.hypot(*np.diff(lane.points_m, axis=0).T) for lane in lanes]
+    return steepest_run([lane.z_m for lane in lanes], runs_m, [True] * len(lanes))
+
+
+def steepest_run(heights_m: list[F64], runs_m: list[F64], driven: list[bool]) -> float:
+    """The largest rise over run of those lines that are driven.
+
+    Args:
+        heights_m: Of each line, (n,).
+        runs_m: The lengths between these, (n - 1,).
+        driven: Whether a line counts.
+    """
+    worst = 0.0
+    for z_m, run_m, counts in zip(heights_m, runs_m, driven, strict=True):
+        if counts and len(run_m):
+            grades = np.abs(np.diff(z_m)) / np.maximum(run_m, SHORTEST_M)
+            worst = max(worst, float(grades.max()))
+    return worst
 
 
 def _ways(net: Net) -> list[Lane]:
@@ -108,15 +153,19 @@ def _samples(ways: list[Lane]) -> _Samples:
 
 
 def _on_bridge(samples: _Samples) -> Bool:
-    """Which samples (n,) lie on a way near a place where it passes over another one, or over itself."""
+    """Which samples (n,) lie on a way near a place where it passes over another one, or itself."""
+    # 1. Find the samples that lie above another one.
     places = shapely.points(samples.p_m)
     tree = shapely.STRtree(places)
     over: list[I32] = []
     for start in range(0, len(places), AT_ONCE):
-        upper, lower = tree.query(places[start : start + AT_ONCE], predicate="dwithin", distance=BESIDE_M)
+        some = places[start : start + AT_ONCE]
+        upper, lower = tree.query(some, predicate="dwithin", distance=BESIDE_M)
         tall = samples.z_m[upper + start] - samples.z_m[lower] > OVER_M
         over.append((upper[tall] + start).astype(np.int32))
-    key_m = samples.way * FAR_M + samples.arc_m  # ascending: ways follow each other
+
+    # 2. Mark their ways to both sides. The key is ascending, as ways follow each other.
+    key_m = samples.way * FAR_M + samples.arc_m
     here_m = key_m[np.unique(np.concatenate(over))]
     ends = np.zeros(len(places) + 1, dtype=np.int64)
     np.add.at(ends, np.searchsorted(key_m, here_m - BRIDGE_M), 1)
@@ -124,18 +173,11 @@ def _on_bridge(samples: _Samples) -> Bool:
     return np.cumsum(ends)[:-1] > 0
 
 
-def _kept(way: Lane, samples: _Samples, own: Bool, off: Bool) -> list[Lane]:
-    """The pieces of a way that are ground; a walking area stays or goes as a whole."""
-    if way.kind is LaneKind.WALKINGAREA:
-        return []
-    good = np.r_[False, ~off[own], False]
-    starts, ends = np.flatnonzero(np.diff(good.astype(int)) > 0), np.flatnonzero(np.diff(good.astype(int)) < 0)
-    p_m, z_m = samples.p_m[own], samples.z_m[own]
-    return [replace(way, points_m=p_m[a:b], z_m=z_m[a:b]) for a, b in zip(starts, ends, strict=True) if b - a > 1]
-
-
 def _corners(at: F64, shape: tuple[int, int]) -> tuple[I32, F64]:
-    """The three lattice corners (n, 3) around points given in cells, and their shares (n, 3), as `Relief.at` cuts."""
+    """The three lattice corners (n, 3) around points in cells, and their shares (n, 3).
+
+    Cells are cut as in `Relief.at`.
+    """
     cell = np.clip(at.astype(int), 0, (shape[1] - 2, shape[0] - 2))
     u, v = (np.clip(at - cell, 0.0, 1.0)).T
     first = cell[:, 1] * shape[1] + cell[:, 0]
@@ -173,8 +215,8 @@ def _fitted(z: F64, cell_m: float, corners: I32, share: F64, height_m: F64, weig
 
 def _counted(nodes: I32, values: F64, shape: tuple[int, ...]) -> F64:
     """Sums of values, node by node of a lattice."""
-    sums: F64 = np.bincount(nodes, values.reshape(-1), minlength=shape[0] * shape[1]).astype(np.float64)
-    return sums.reshape(shape)
+    sums = np.bincount(nodes, values.reshape(-1), minlength=shape[0] * shape[1])
+    return sums.astype(np.float64).reshape(shape)
 
 
 def _stiffness(z: F64, cell_m: float) -> F64:
@@ -196,19 +238,3 @@ def _stiffness(z: F64, cell_m: float) -> F64:
     pull[:-1, 1:] -= twist
     pull[:-1, :-1] += twist
     return pull
-
-
-def steepest_run(heights_m: list[F64], runs_m: list[F64], driven: list[bool]) -> float:
-    """The largest rise over run of lines of heights (n,) and lengths (n - 1,) in metres, of those that are driven."""
-    worst = 0.0
-    for z_m, run_m, counts in zip(heights_m, runs_m, driven, strict=True):
-        if counts and len(run_m):
-            worst = max(worst, float((np.abs(np.diff(z_m)) / np.maximum(run_m, SHORTEST_M)).max()))
-    return worst
-
-
-def steepest_grade(net: Net) -> float:
-    """The largest rise over run along any lane of a net."""
-    lanes = net.every_lane
-    runs_m = [np.hypot(*np.diff(lane.points_m, axis=0).T) for lane in lanes]
-    return steepest_run([lane.z_m for lane in lanes], runs_m, [True] * len(lanes))

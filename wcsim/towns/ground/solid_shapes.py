@@ -1,4 +1,4 @@
-"""Solid things as triangles: prisms, posts, boxes, wheels. Triangles are counter-clockwise seen from outside."""
+"""Solid things as triangles that are counter-clockwise seen from outside."""
 
 from dataclasses import dataclass, replace
 
@@ -22,15 +22,16 @@ class Solid:
 def joined(pieces: list[Solid]) -> Solid:
     """Several pieces as one."""
     offsets = np.cumsum([0, *(len(piece.vertices_W_m) for piece in pieces)])
+    faces = [piece.faces + offset for piece, offset in zip(pieces, offsets, strict=False)]
     return Solid(
         vertices_W_m=np.concatenate([piece.vertices_W_m for piece in pieces]),
-        faces=np.concatenate([p.faces + offset for p, offset in zip(pieces, offsets, strict=False)]).astype(np.int32),
+        faces=np.concatenate(faces).astype(np.int32),
         face_class=np.concatenate([piece.face_class for piece in pieces]),
     )
 
 
 def moved(piece: Solid, xy_m: F64, yaw_rad: float = 0.0) -> Solid:
-    """A piece turned about the z axis of its own frame, then set down with that frame's origin at a point."""
+    """A piece turned about the z axis of its own frame, whose origin then goes to a point."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     vertices = piece.vertices_W_m.copy()
     vertices[:, :2] = piece.vertices_W_m[:, :2] @ np.array([[c, s], [-s, c]]) + xy_m
@@ -45,54 +46,47 @@ def raised(piece: Solid, height_m: float | F64) -> Solid:
 
 
 def scaled(piece: Solid, factors: tuple[float, float, float]) -> Solid:
-    """A piece made longer, wider and higher about its origin; what reaches into the ground stays as deep."""
+    """A piece made longer, wider and higher; what reaches into the ground stays as deep."""
     vertices = piece.vertices_W_m * (factors[0], factors[1], 1.0)
     vertices[:, 2] *= np.where(vertices[:, 2] > 0.0, factors[2], 1.0)
     return replace(piece, vertices_W_m=vertices)
 
 
-def prism(outline: Polygon, low_m: float, high_m: float, class_id: int, floor: bool = False) -> Solid:
-    """An upright prism over a polygon with or without holes: walls, a flat roof and, if asked for, a floor."""
-    oriented = shapely.orient_polygons(outline)  # outline counter-clockwise, holes clockwise
-    rings = [shapely.get_coordinates(ring)[:-1] for ring in (oriented.exterior, *oriented.interiors)]
-    base = np.concatenate(rings)  # (N, 2)
-    return _extruded(rings, _cover(outline, base), low_m, high_m, class_id, floor)
-
-
-def _convex_prism(ring: F64, low_m: float, high_m: float, class_id: int, floor: bool = False) -> Solid:
-    """An upright prism over a convex ring (N, 2), counter-clockwise and open; far cheaper to make than `prism`."""
-    middle = np.arange(1, len(ring) - 1, dtype=np.int32)
-    cover = np.stack([np.zeros_like(middle), middle, middle + 1], axis=1)
-    return _extruded([ring], cover, low_m, high_m, class_id, floor)
-
-
-def _extruded(rings: list[F64], cover: I32, low_m: float, high_m: float, class_id: int, floor: bool) -> Solid:
-    """Walls along rings that have the solid on their left, and `cover` (R, 3) over all their corners."""
-    base = np.concatenate(rings)
-    count = len(base)
-    walls: list[I32] = []
-    first = 0
-    for ring in rings:
-        a = first + np.arange(len(ring))
-        b = first + np.roll(np.arange(len(ring)), -1)
-        walls += [np.stack([a, b, b + count], axis=1), np.stack([a, b + count, a + count], axis=1)]
-        first += len(ring)
-    faces = np.concatenate([*walls, cover + count, *([cover[:, ::-1]] if floor else [])]).astype(np.int32)
-    vertices = np.empty((2 * count, 3))
-    vertices[:, :2] = np.tile(base, (2, 1))
-    vertices[:, 2] = np.repeat([low_m, high_m], count)
-    return Solid(vertices_W_m=vertices, faces=faces, face_class=np.full(len(faces), class_id, np.uint8))
+def prism(
+    outline: Polygon, low_m: float, high_m: float, class_id: int, floor: bool = False
+) -> Solid:
+    """An upright prism over a polygon with or without holes: walls, a flat roof, maybe a floor."""
+    # The solid has to lie on the left of its rings.
+    oriented = shapely.orient_polygons(outline)
+    outlines = (oriented.exterior, *oriented.interiors)
+    rings = [shapely.get_coordinates(ring)[:-1] for ring in outlines]
+    number = {(x, y): i for i, (x, y) in enumerate(np.concatenate(rings).tolist())}
+    corners, _, _ = triangles_of(outline)
+    rows = [[number[x, y] for x, y in corner] for corner in corners.tolist()]
+    cover = np.array(rows, dtype=np.int32).reshape(-1, 3)
+    return _extruded(rings, cover, low_m, high_m, class_id, floor)
 
 
 def post(
-    xy_m: F64, radius_m: float, low_m: float, high_m: float, class_id: int, sides: int = 6, floor: bool = False
+    xy_m: F64,
+    radius_m: float,
+    low_m: float,
+    high_m: float,
+    class_id: int,
+    sides: int = 6,
+    floor: bool = False,
 ) -> Solid:
     """An upright regular prism."""
     return _convex_prism(_ring(xy_m, radius_m, sides), low_m, high_m, class_id, floor)
 
 
 def box(
-    xy_m: F64, size_lwh_m: tuple[float, float, float], low_m: float, yaw_rad: float, class_id: int, floor: bool = False
+    xy_m: F64,
+    size_lwh_m: tuple[float, float, float],
+    low_m: float,
+    yaw_rad: float,
+    class_id: int,
+    floor: bool = False,
 ) -> Solid:
     """An upright box turned about its middle."""
     ring = shapely.get_coordinates(rectangle(xy_m, size_lwh_m[0], size_lwh_m[1], yaw_rad))[:-1]
@@ -114,8 +108,10 @@ def rectangle(xy_m: F64, length_m: float, width_m: float, yaw_rad: float) -> Pol
     return Polygon(half @ turn + xy_m)
 
 
-def spindle(xy_m: F64, levels_m: tuple[tuple[float, float], ...], class_id: int, sides: int = 7) -> Solid:
-    """Rings of (radius, height) from the bottom up, pointed at both ends where the radius is 0: a tree's crown."""
+def spindle(
+    xy_m: F64, levels_m: tuple[tuple[float, float], ...], class_id: int, sides: int = 7
+) -> Solid:
+    """A tree's crown: rings of (radius, height) from the bottom up, pointed where a radius is 0."""
     vertices: list[F64] = []
     faces: list[tuple[int, int, int]] = []
     below: list[int] = []
@@ -129,25 +125,58 @@ def spindle(xy_m: F64, levels_m: tuple[tuple[float, float], ...], class_id: int,
             faces += [(below[i], below[j], here[j]), (below[i], here[j], here[i])]
         below = here
     table = np.array([face for face in faces if len(set(face)) == 3], dtype=np.int32)
-    return Solid(vertices_W_m=np.concatenate(vertices), faces=table, face_class=np.full(len(table), class_id, np.uint8))
+    return Solid(
+        vertices_W_m=np.concatenate(vertices),
+        faces=table,
+        face_class=np.full(len(table), class_id, np.uint8),
+    )
 
 
 def triangles_of(faces: Polygon | np.ndarray) -> tuple[F64, I32, F64]:
-    """Triangles (F, 3, 2) of polygons, counter-clockwise, the polygon (F,) of each, and twice its area (F,)."""
-    parts, owner = shapely.get_parts(shapely.constrained_delaunay_triangles(faces), return_index=True)
+    """The triangles of polygons.
+
+    Returns:
+        Corners (F, 3, 2), counter-clockwise; the polygon (F,) of each, and twice its area (F,).
+    """
+    cut = shapely.constrained_delaunay_triangles(faces)
+    parts, owner = shapely.get_parts(cut, return_index=True)
     corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
     twice_area = cross_z(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     corners[twice_area < 0] = corners[twice_area < 0][:, ::-1]
     return corners, owner.astype(np.int32), np.abs(twice_area)
 
 
+def _convex_prism(
+    ring: F64, low_m: float, high_m: float, class_id: int, floor: bool = False
+) -> Solid:
+    """A prism over a convex ring (N, 2), counter-clockwise and open; far cheaper than `prism`."""
+    middle = np.arange(1, len(ring) - 1, dtype=np.int32)
+    cover = np.stack([np.zeros_like(middle), middle, middle + 1], axis=1)
+    return _extruded([ring], cover, low_m, high_m, class_id, floor)
+
+
+def _extruded(
+    rings: list[F64], cover: I32, low_m: float, high_m: float, class_id: int, floor: bool
+) -> Solid:
+    """Walls along rings with the solid on their left, and `cover` (R, 3) over all their corners."""
+    base = np.concatenate(rings)
+    count = len(base)
+    walls: list[I32] = []
+    first = 0
+    for ring in rings:
+        a = first + np.arange(len(ring))
+        b = first + np.roll(np.arange(len(ring)), -1)
+        walls += [np.stack([a, b, b + count], axis=1), np.stack([a, b + count, a + count], axis=1)]
+        first += len(ring)
+    ends = [cover + count, cover[:, ::-1]] if floor else [cover + count]
+    faces = np.concatenate([*walls, *ends]).astype(np.int32)
+    vertices = np.empty((2 * count, 3))
+    vertices[:, :2] = np.tile(base, (2, 1))
+    vertices[:, 2] = np.repeat([low_m, high_m], count)
+    face_class = np.full(len(faces), class_id, np.uint8)
+    return Solid(vertices_W_m=vertices, faces=faces, face_class=face_class)
+
+
 def _ring(xy_m: F64, radius_m: float, sides: int) -> F64:
     angle = 2.0 * np.pi * np.arange(sides) / sides
     return np.asarray(xy_m) + radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def _cover(outline: Polygon, base: F64) -> I32:
-    """Triangles (R, 3) over the outline, as indices into its corners."""
-    number = {(x, y): i for i, (x, y) in enumerate(base.tolist())}
-    corners, _, _ = triangles_of(outline)
-    return np.array([[number[x, y] for x, y in corner] for corner in corners.tolist()], dtype=np.int32).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""A street in square tiles: packed once when it is built, and in memory only near those who move."""
+"""A street in square tiles, of which only those near chairs are in memory."""
 
 from __future__ import annotations
 
@@ -23,13 +23,15 @@ if TYPE_CHECKING:  # what makes streets is heavy, and no world needs it where a 
 CELL_M = 0.1  # of the rasters
 CHUNK_M = 40.0  # side of the mesh's chunks
 TILE_M = 3 * CHUNK_M
-RASTER_M = 0.5 * TILE_M  # side of a raster: its margin is kept as well, so a large one is read for little
+# The side of a raster. Its margin is stored as well, so a large one is read for little.
+RASTER_M = 0.5 * TILE_M
 _RASTERS = ("height_cm", "ground_class", "clearance_dm", "edge_cm")  # 0.85 MB each
 _HEIGHTS = _RASTERS[:1]
 _NONE: U8 = np.zeros((0, 0), np.uint8)
-_KEPT = 24  # rasters in memory at any time; a chair and those around it request seven
-_MOST_KEPT = 108
-_FRESH_ASKS = 4_000  # what was asked for since stays, up to _MOST_KEPT: 6 chairs ask 80 times a tick, one 27 times
+_CACHED = 24  # rasters in memory at any time; a chair and those around it request seven
+_MOST_CACHED = 108
+# What was requested since stays, up to _MOST_CACHED. Six chairs request 80 rasters a tick, one 27.
+_RECENT_REQUESTS = 4_000
 _MESH = ("vertices_W_m", "faces", "face_class", "chunk_vertices", "chunk_faces")
 _PAINT = ("quads_W_m", "mark")
 
@@ -40,45 +42,51 @@ T = TypeVar("T")
 
 def pack_tiles(mesh: StreetMesh, grid: GridMaker) -> dict[str, np.ndarray]:
     """All tiles of a street as named arrays; the rasters are compressed."""
+    # 1. Find the tile (n, 2) in which the middle of each chunk and of each mark lies.
     west, south, east, north = grid.bounds()
     first = np.floor(np.array([west, south]) / TILE_M).astype(int)
     last = np.floor(np.array([east, north]) / TILE_M - 1e-9).astype(int)
-    keys = [(x, y) for x in range(first[0], last[0] + 1) for y in range(first[1], last[1] + 1)]
-    owner = _tile_of_chunk(mesh, first, last)
-    painted = np.clip(np.floor(mesh.paint.quads_W_m[:, :, :2].mean(axis=1) / TILE_M).astype(int), first, last)
+    starts = mesh.chunk_vertices[:-1]
+    xy_m = mesh.vertices_W_m[:, :2].astype(np.float64)
+    middle_m = 0.5 * (np.minimum.reduceat(xy_m, starts) + np.maximum.reduceat(xy_m, starts))
+    owner = np.clip(np.floor(middle_m / TILE_M).astype(int), first, last)
+    middle_m = mesh.paint.quads_W_m[:, :, :2].mean(axis=1)
+    painted = np.clip(np.floor(middle_m / TILE_M).astype(int), first, last)
+
+    # 2. Pack the mesh of each tile. Its span is that of its square and its mesh together, as a
+    # building may reach over the border.
     arrays: dict[str, np.ndarray] = {"tile_range": np.array([*first, *last])}
     spans = []
+    keys = [(x, y) for x in range(first[0], last[0] + 1) for y in range(first[1], last[1] + 1)]
     for key in keys:
         part = _chunks_of(mesh, np.flatnonzero((owner == key).all(axis=1)))
         paint = mesh.paint.part((painted == key).all(axis=1))
         arrays |= {_name(key, name): getattr(part, name) for name in _MESH}
         arrays |= {_name(key, name): getattr(paint, name) for name in _PAINT}
-        spans.append(_span(key, part))
+        x, y = key[0] * TILE_M, key[1] * TILE_M
+        square = [(x, y), (x + TILE_M, y + TILE_M)]
+        xy_m = np.concatenate([part.vertices_W_m[:, :2].astype(np.float64), square])
+        spans.append((*xy_m.min(axis=0).tolist(), *xy_m.max(axis=0).tolist()))
     arrays["tile_spans"] = np.array(spans)
-    return arrays | _packed_rasters(grid)
 
-
-def _packed_rasters(grid: GridMaker) -> dict[str, np.ndarray]:
-    west, south, east, north = grid.bounds()
+    # 3. Pack the rasters, each as a copy: the packer's own bytes hold as much memory as a raster.
     columns = range(math.floor(west / RASTER_M), math.floor(east / RASTER_M - 1e-9) + 1)
     rows = range(math.floor(south / RASTER_M), math.floor(north / RASTER_M - 1e-9) + 1)
+    arrays["raster_range"] = np.array([columns[0], rows[0], columns[-1], rows[-1]])
     packer = zstandard.ZstdCompressor(level=1)
-    arrays = {"raster_range": np.array([columns[0], rows[0], columns[-1], rows[-1]])}
-    keys = [(x, y) for x in columns for y in rows]
-    for key in keys:
+    for key in [(x, y) for x in columns for y in rows]:
         piece = grid.piece(_box(key))
-        arrays |= {
-            # a copy, because the packer's own bytes hold as much memory as what they were made of
-            _name(key, n): np.frombuffer(packer.compress(getattr(piece, n).tobytes()), np.uint8).copy()
-            for n in _RASTERS
-        }
+        for name in _RASTERS:
+            packed = packer.compress(getattr(piece, name).tobytes())
+            arrays[_name(key, name)] = np.frombuffer(packed, np.uint8).copy()
     return arrays
 
 
 class TileStore:
-    """The tiles of one street, read when a place is requested; the rasters of the last few places stay in memory.
+    """The tiles of one street; the rasters of the last few places stay in memory.
 
-    It is both the street's `Ground` and its `StreetTiles`. Places outside the town have the ground of its border.
+    It is both the street's `Ground` and its `StreetTiles`. Places outside the town have the ground
+    of its border.
     """
 
     def __init__(self, packed: Packed, relief: Relief) -> None:
@@ -89,9 +97,10 @@ class TileStore:
         self._first, self._last = (corners[0], corners[1]), (corners[2], corners[3])
         self._keys = tuple((x, y) for x in range(west, east + 1) for y in range(south, north + 1))
         self._spans = packed["tile_spans"]  # (tiles, 4) what the mesh of each tile covers
-        self._kept: OrderedDict[TileKey, StreetGrid] = OrderedDict()  # many with heights alone, the last used last
-        self._used: dict[TileKey, int] = {}  # the number of the ask that each was used for last
-        self._asks = 0
+        # The grid used last is the last. Many have heights alone.
+        self._cached: OrderedDict[TileKey, StreetGrid] = OrderedDict()
+        self._used: dict[TileKey, int] = {}  # the number of the last request of each
+        self._requests = 0
 
     @property
     def keys(self) -> tuple[TileKey, ...]:
@@ -101,7 +110,8 @@ class TileStore:
     def near(self, points_W_m: F64, reach_m: float) -> tuple[TileKey, ...]:
         """See `StreetTiles`."""
         points = points_W_m[:, None, :2]
-        out = np.maximum(np.maximum(self._spans[:, :2] - points, points - self._spans[:, 2:]), 0.0)  # (n, tiles, 2)
+        below, above = self._spans[:, :2] - points, points - self._spans[:, 2:]  # (n, tiles, 2)
+        out = np.maximum(np.maximum(below, above), 0.0)
         close = ((out**2).sum(-1) <= reach_m**2).any(axis=0)
         return tuple(self._keys[i] for i in np.flatnonzero(close))
 
@@ -111,23 +121,26 @@ class TileStore:
         def arrays(names: tuple[str, ...]) -> dict[str, np.ndarray]:
             return {name: self._packed[_name(key, name)] for name in names}
 
-        return self._guarded(lambda: StreetMesh(**arrays(_MESH), paint=GroundPaint(**arrays(_PAINT))))
+        def read() -> StreetMesh:
+            return StreetMesh(**arrays(_MESH), paint=GroundPaint(**arrays(_PAINT)))
+
+        return self._guarded(read)
 
     def height_at(self, p_W_m: F64) -> F64:
         """See `Ground`."""
-        return self._ask(p_W_m, StreetGrid.height_at, _HEIGHTS)
+        return self._look_up(p_W_m, StreetGrid.height_at, _HEIGHTS)
 
     def raised_at(self, p_W_m: F64) -> F64:
         """See `Ground`."""
-        return self._ask(p_W_m, StreetGrid.raised_at, _HEIGHTS)
+        return self._look_up(p_W_m, StreetGrid.raised_at, _HEIGHTS)
 
     def clearance_at(self, p_W_m: F64) -> F64:
         """See `Ground`."""
-        return self._ask(p_W_m, StreetGrid.clearance_at)
+        return self._look_up(p_W_m, StreetGrid.clearance_at)
 
     def class_at(self, p_W_m: F64) -> U8:
         """See `Ground`."""
-        classes: U8 = self._ask(p_W_m, StreetGrid.class_at).astype(np.uint8, copy=False)
+        classes: U8 = self._look_up(p_W_m, StreetGrid.class_at).astype(np.uint8, copy=False)
         return classes
 
     def height_here(self, x_W_m: float, y_W_m: float) -> float:
@@ -149,53 +162,60 @@ class TileStore:
             key = min(max(key[0], west), east), min(max(key[1], south), north)
         return self._rasters(key, names)
 
-    def _ask(
-        self, p_W_m: F64, question: Callable[[StreetGrid, F64], np.ndarray], names: tuple[str, ...] = _RASTERS
+    def _look_up(
+        self,
+        p_W_m: F64,
+        question: Callable[[StreetGrid, F64], np.ndarray],
+        names: tuple[str, ...] = _RASTERS,
     ) -> np.ndarray:
-        """The answer for points (..., 2 or 3), tile by tile; nearly always one tile holds them all."""
+        """The answer for points (..., 2 or 3), tile by tile."""
         if p_W_m.ndim == 1:
             return question(self._grid(float(p_W_m[0]), float(p_W_m[1]), names), p_W_m)
-        tiles = np.clip(np.floor(p_W_m[..., :2] / RASTER_M).astype(int), self._first, self._last).reshape(-1, 2)
+        tiles = np.floor(p_W_m[..., :2] / RASTER_M).astype(int)
+        tiles = np.clip(tiles, self._first, self._last).reshape(-1, 2)
         if not len(tiles):
             return question(self._rasters(self._first, names), p_W_m)
+        # Nearly always one tile holds them all.
         if (tiles == tiles[0]).all():
             return question(self._rasters((int(tiles[0, 0]), int(tiles[0, 1])), names), p_W_m)
         points = p_W_m.reshape(-1, p_W_m.shape[-1])
         found = np.empty(len(points))
         for x, y in np.unique(tiles, axis=0).tolist():
-            mine = (tiles == (x, y)).all(axis=1)
-            found[mine] = question(self._rasters((x, y), names), points[mine])
+            own = (tiles == (x, y)).all(axis=1)
+            found[own] = question(self._rasters((x, y), names), points[own])
         return found.reshape(p_W_m.shape[:-1])
 
     def _rasters(self, key: TileKey, names: tuple[str, ...]) -> StreetGrid:
         """A grid that has the rasters of these names, and maybe not the others."""
-        self._asks += 1
-        grid = self._kept.get(key)
+        self._requests += 1
+        grid = self._cached.get(key)
         missing = grid is None or (names is _RASTERS and grid.ground_class is _NONE)
         if grid is None or missing:
-            grid = self._kept[key] = self._guarded(lambda: self._unpacked(key, names))
-        self._kept.move_to_end(key)
-        self._used[key] = self._asks
+            grid = self._cached[key] = self._guarded(lambda: self._unpacked(key, names))
+        self._cached.move_to_end(key)
+        self._used[key] = self._requests
         if missing:
             self._forget()
         return grid
 
     def _forget(self) -> None:
         """Drop rasters that were not requested for a while, and those above the limit."""
-        count = sum(1 if grid.ground_class is _NONE else len(_RASTERS) for grid in self._kept.values())
-        for key in list(self._kept):
-            fresh = self._used[key] > self._asks - _FRESH_ASKS
-            if count <= (_MOST_KEPT if fresh else _KEPT):
+        count = sum(_raster_count(grid) for grid in self._cached.values())
+        for key in list(self._cached):
+            recent = self._used[key] > self._requests - _RECENT_REQUESTS
+            if count <= (_MOST_CACHED if recent else _CACHED):
                 return
-            count -= 1 if self._kept.pop(key).ground_class is _NONE else len(_RASTERS)
+            count -= _raster_count(self._cached.pop(key))
             del self._used[key]
 
     def _guarded(self, read: Callable[[], T]) -> T:
+        """What `read` returns. Raises TownError where the street's file is broken."""
         try:
             return read()
         except (OSError, ValueError, zipfile.BadZipFile, zlib.error, zstandard.ZstdError) as error:
             raise TownError(
-                f"the built street cannot be read any more ({error}); delete ~/.cache/wcsim and start again"
+                f"the built street cannot be read any more ({error}); "
+                "delete ~/.cache/wcsim and start again"
             ) from None
 
     def _unpacked(self, key: TileKey, names: tuple[str, ...]) -> StreetGrid:
@@ -206,12 +226,15 @@ class TileStore:
         return StreetGrid(origin_W_m=(x0, y0), cell_m=CELL_M, relief=self._relief, **rasters)
 
 
-def _raster_of(packed: U8, shape: tuple[int, int]) -> U8:
-    """A raster of that shape, in pages of its own: they go back when it goes, where the heap would be left with a hole.
+def _raster_count(grid: StreetGrid) -> int:
+    return 1 if grid.ground_class is _NONE else len(_RASTERS)
 
-    Raises ValueError for one of another size.
-    """
-    raster = np.frombuffer(mmap.mmap(-1, shape[0] * shape[1], mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS), np.uint8)
+
+def _raster_of(packed: U8, shape: tuple[int, int]) -> U8:
+    """A raster of that shape. Raises ValueError for one of another size."""
+    # It has pages of its own: they go back when it goes, where the heap would keep a hole.
+    pages = mmap.mmap(-1, shape[0] * shape[1], mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    raster = np.frombuffer(pages, np.uint8)
     with zstandard.ZstdDecompressor().stream_reader(packed.tobytes()) as reader:
         if reader.readinto(raster.data) != raster.size or reader.read(1):
             raise ValueError(f"a raster is not of {shape} cells")
@@ -229,38 +252,31 @@ def _box(key: TileKey) -> Box:
     return x - AROUND_M, y - AROUND_M, x + RASTER_M + AROUND_M, y + RASTER_M + AROUND_M
 
 
-def _tile_of_chunk(mesh: StreetMesh, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """The tile (C, 2) in which the middle of each chunk lies."""
-    starts = mesh.chunk_vertices[:-1]
-    xy_m = mesh.vertices_W_m[:, :2].astype(np.float64)
-    middle_m = 0.5 * (np.minimum.reduceat(xy_m, starts) + np.maximum.reduceat(xy_m, starts))
-    tiles: np.ndarray = np.clip(np.floor(middle_m / TILE_M).astype(int), first, last)
-    return tiles
-
-
 def _chunks_of(mesh: StreetMesh, chunks: np.ndarray) -> StreetMesh:
     """Some chunks of a mesh as a mesh of its own."""
     spans = [
-        (mesh.chunk_vertices[c], mesh.chunk_vertices[c + 1], mesh.chunk_faces[c], mesh.chunk_faces[c + 1])
+        (
+            mesh.chunk_vertices[c],
+            mesh.chunk_vertices[c + 1],
+            mesh.chunk_faces[c],
+            mesh.chunk_faces[c + 1],
+        )
         for c in chunks
     ]
     chunk_vertices = np.cumsum([0, *(v1 - v0 for v0, v1, _, _ in spans)]).astype(np.int32)
     chunk_faces = np.cumsum([0, *(f1 - f0 for _, _, f0, f1 in spans)]).astype(np.int32)
-    faces = [mesh.faces[f0:f1] - v0 + at for (v0, _, f0, f1), at in zip(spans, chunk_vertices, strict=False)]
+    faces = [
+        mesh.faces[f0:f1] - v0 + at
+        for (v0, _, f0, f1), at in zip(spans, chunk_vertices, strict=False)
+    ]
+    # Without any chunk there is still an array of the right shape.
+    vertices = [np.zeros((0, 3), np.float32)]
+    vertices += [mesh.vertices_W_m[v0:v1] for v0, v1, _, _ in spans]
+    classes = [np.zeros(0, np.uint8), *(mesh.face_class[f0:f1] for _, _, f0, f1 in spans)]
     return StreetMesh(
-        vertices_W_m=np.concatenate(
-            [np.zeros((0, 3), np.float32), *(mesh.vertices_W_m[v0:v1] for v0, v1, _, _ in spans)]
-        ),
+        vertices_W_m=np.concatenate(vertices),
         faces=np.concatenate([np.zeros((0, 3), np.int32), *faces]).astype(np.int32),
-        face_class=np.concatenate([np.zeros(0, np.uint8), *(mesh.face_class[f0:f1] for _, _, f0, f1 in spans)]),
+        face_class=np.concatenate(classes),
         chunk_vertices=chunk_vertices,
         chunk_faces=chunk_faces,
     )
-
-
-def _span(key: TileKey, part: StreetMesh) -> Box:
-    """What a tile's square and its mesh cover together: a building may reach over the border."""
-    x, y = key[0] * TILE_M, key[1] * TILE_M
-    xy_m = np.concatenate([part.vertices_W_m[:, :2].astype(np.float64), [(x, y), (x + TILE_M, y + TILE_M)]])
-    (west, south), (east, north) = xy_m.min(axis=0), xy_m.max(axis=0)
-    return float(west), float(south), float(east), float(north)

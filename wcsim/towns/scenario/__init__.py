@@ -1,4 +1,4 @@
 """A town's folder and how its scenario is staged for a world: options, overrides, file names.
 
-Not what the street looks like.
+It knows nothing of what the street looks like.
 """

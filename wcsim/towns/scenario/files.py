@@ -1,12 +1,8 @@
-"""Files of a scenario that name other files: what they write is led into one folder, what they read stays theirs.
+"""Files of a scenario that name other files, to be read, included or written.
 
-A file that writes nothing is left where it is; only one that does is copied, with nothing but those names changed.
-
-What the elements of SUMO's files say of other files: which attribute names one, to be read, included or written.
-
-Names of written files: all in one folder, none twice, none that leads anywhere else.
-
-The border of a scenario: files that lie outside of its folder are neither opened nor copied unasked.
+What they write goes into one folder, none twice. A file that writes nothing stays where it is. Only
+one that writes is copied, with nothing but those names changed. Files outside of the scenario's
+folder, its border, are neither opened nor copied unless its user permits it.
 """
 
 import os
@@ -30,7 +26,12 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9_.-]+")
 _MAX_LENGTH = 120
 _SUMO_SPLITS_AT = ",:;$%"  # lists, sockets and substitutions in SUMO's file names
 # Elements and attributes that name XML files that SUMO reads.
-_READ = {("rerouter", "file"), ("variableSpeedSign", "file"), ("calibrator", "file"), ("include", "href")}
+_READ = {
+    ("rerouter", "file"),
+    ("variableSpeedSign", "file"),
+    ("calibrator", "file"),
+    ("include", "href"),
+}
 _TEXTS = ("edgesFile",)  # it reads them too, and they are no XML: a line for each edge
 _PICTURES = ("imgFile", "osgFile", "href")  # sumo-gui shows them, SUMO itself never opens them
 _READ_PARAMETERS = ("device.fcd-replay.file", "device.fcd-replay.files")
@@ -38,6 +39,8 @@ _READ_PARAMETERS = ("device.fcd-replay.file", "device.fcd-replay.files")
 _WRITTEN = re.compile(r"(?i)^(dest|.*((?<!pro)file|output))$")
 _WRITTEN_PARAMETER = re.compile(r"(?i)^(.*[.-])?\s*\w*((?<!pro)files?|output)\s*$")
 _GRIDS = re.compile(r"((?i:grids|catalog|init|file)\s*=)(?!\s*(@?null|epsg:\d+)(\s|$))")
+# A path of these letters is spelt alike in every language.
+_PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")
 
 
 def check_inside(path: Path, border: Path | None, named_by: Path) -> None:
@@ -51,22 +54,23 @@ def check_inside(path: Path, border: Path | None, named_by: Path) -> None:
         if border is None or real.is_relative_to(os.path.realpath(border)):
             return
     except ValueError as error:  # NUL in the path
-        raise TownError(f"{escape(named_by)}: names {escape(path)} ({error}); correct the name") from None
-    raise TownError(
-        f"{escape(named_by)}: names {escape(path)}, which is outside of its folder {escape(border)}; move it there "
-        f"and correct the name, or permit files elsewhere: {_trust(named_by)}"
-    )
-
-
-def _trust(named_by: Path) -> str:
-    """How a scenario is trusted; a copy of it is for every command."""
-    some = f"{_ALLOW} of wcsim town run and pave"
+        raise TownError(
+            f"{escape(named_by)}: names {escape(path)} ({error}); correct the name"
+        ) from None
+    # Some commands trust a scenario as it is. A copy of it is for every command.
     if named_by.suffix != ".sumocfg":
-        return f"{some}, and of wcsim town import, which makes a copy for all others"
-    path, name = named_by.absolute(), re.sub(r"[^A-Za-z0-9_-]", "_", named_by.absolute().parent.name)[:64] or "town"
-    return (
-        f"{some}, or a copy for all commands: wcsim town import --sumocfg {shlex.quote(escape(path, 4096))} "
-        f"--name {name} {_ALLOW}"
+        copy = ", and of wcsim town import, which makes a copy for all others"
+    else:
+        path_there = named_by.absolute()
+        name = re.sub(r"[^A-Za-z0-9_-]", "_", path_there.parent.name)[:64] or "town"
+        copy = (
+            ", or a copy for all commands: wcsim town import "
+            f"--sumocfg {shlex.quote(escape(path_there, 4096))} --name {name} {_ALLOW}"
+        )
+    raise TownError(
+        f"{escape(named_by)}: names {escape(path)}, which is outside of its folder "
+        f"{escape(border)}; move it there and correct the name, or permit files elsewhere: "
+        f"{_ALLOW} of wcsim town run and pave{copy}"
     )
 
 
@@ -75,71 +79,44 @@ def check_file(path: Path, border: Path | None, named_by: Path) -> None:
     check_inside(path, border, named_by)
     if not is_file(path):
         raise TownError(
-            f"{escape(named_by)}: names a file that does not exist: {escape(path)}; restore it or correct "
-            f"{escape(named_by.name)}"
+            f"{escape(named_by)}: names a file that does not exist: {escape(path)}; "
+            f"restore it or correct {escape(named_by.name)}"
         )
     if "," in str(path):
-        raise TownError(f"{escape(path)}: SUMO splits file names at commas; rename the file or its folder")
+        raise TownError(
+            f"{escape(path)}: SUMO splits file names at commas; rename the file or its folder"
+        )
 
 
 def with_included(files: Iterable[Path], border: Path | None) -> tuple[Path, ...]:
-    """Additional or route files, each followed by all that it includes; what is met again is left out.
+    """Additional or route files, each followed by all that it includes, none twice.
 
     Args:
         files: As a scenario names them, plain or gzip-compressed.
         border: The folder outside of which nothing is opened; None for none.
 
     Raises:
-        TownError: An included file is not there, is no XML, includes itself, or lies outside of the border.
+        TownError: An included file is not there, is no XML, includes itself, or lies outside of the
+            border.
     """
-    found: dict[Path, Path] = {}  # by where it really lies, for a file has many names
+    # The key is where a file really lies, for it may have many names.
+    found: dict[Path, Path] = {}
     for path in files:
         _follow(path, border, (), found)
     return tuple(found.values())
 
 
-def _follow(path: Path, border: Path | None, above: tuple[Path, ...], found: dict[Path, Path]) -> None:
-    real = Path(os.path.realpath(path))
-    below = _below(above, real, escape(path))
-    if real in found:
-        return
-    found[real] = path
-    for name in _included(path):
-        there = path.parent / name
-        check_file(there, border, path)
-        _follow(there, border, below, found)
-
-
-def _below(above: tuple[Path, ...], path: Path, where: str) -> tuple[Path, ...]:
-    """The files that lead to what a file includes. Raises TownError when they lead back to it, or are too many."""
-    if path in above or len(above) >= MAX_DEPTH:
-        chain = " -> ".join(item.name for item in (*above, path))
-        raise TownError(f"{where}: its files include each other ({chain}); remove one <include>")
-    return (*above, path)
-
-
-def _included(path: Path) -> list[str]:
-    """The names that a file includes; most files have none, and are not parsed for that."""
-    data, names = read_bytes(path), list[str]()
-    if b"include" not in data:
-        return names
-
-    def visit(tag: str, attributes: list[str]) -> None:
-        if tag.rpartition(":")[2] == "include":
-            names.append(dict(zip(attributes[::2], attributes[1::2], strict=True)).get("href", ""))
-
-    scan(data, escape(path), visit)
-    return [name for name in names if name]
-
-
 class OutputNames:
-    """The files that a scenario writes into one folder; equal places of the author's are the same file here too."""
+    """The files that a scenario writes into one folder, one for each file of its author."""
 
     def __init__(self, folder: Path) -> None:
         """Raises TownError for a folder whose name SUMO does not take for one."""
         strange = sorted(set(str(folder)) & set(_SUMO_SPLITS_AT))
         if strange:
-            raise TownError(f"{folder}: SUMO cannot write to a path with {' '.join(strange)} in it; choose another")
+            raise TownError(
+                f"{folder}: SUMO cannot write to a path with {' '.join(strange)} in it; "
+                "choose another"
+            )
         self.folder = folder
         self._of_author: dict[str, Path] = {}
         self._taken: set[str] = set()
@@ -176,56 +153,6 @@ class OutputNames:
         return found
 
 
-class _NamesFiles:
-    """Goes through the elements of a file and says afterwards whether any of them names another file."""
-
-    def __init__(self, where: str) -> None:
-        self._where = where
-        self._plain: set[str] = set()  # keys that were looked at and name no file
-        self.found = False
-
-    def __call__(self, tag: str, attributes: list[str]) -> None:
-        """Note an element. Raises TownError for names of files that belong in no scenario."""
-        if self._plain.issuperset(attributes[::2]):
-            return
-        odd = [key for key in attributes[::2] if _may_name(key.rpartition(":")[2])]
-        self._plain.update(key for key in attributes[::2] if key not in odd)
-        if odd:
-            self._note(tag.rpartition(":")[2], dict(zip(attributes[::2], attributes[1::2], strict=True)))
-
-    def _note(self, tag: str, attributes: dict[str, str]) -> None:
-        """An element with an attribute that names a file, or may do so."""
-        emission, projection = attributes.get("emissionClass", ""), attributes.get("projParameter", "")
-        if ".." in emission or emission.startswith("/"):
-            raise TownError(f"{self._where}: has emissionClass={escape(emission, 60)!r}; expected a name: correct it")
-        if _GRIDS.search(projection):
-            told = escape(projection, 60)
-            raise TownError(f"{self._where}: has projParameter={told!r}, which names a file; expected one without")
-        for key, value in attributes.items():
-            name = key.rpartition(":")[2]
-            if name == "key":
-                self.found |= tag == "param" and (_writes_parameter(value) or _reads_parameter(value))
-            elif name not in ("emissionClass", "projParameter") and _may_name(name):
-                self.found = True
-
-
-def _may_name(key: str) -> bool:
-    return key in ("key", "href", "emissionClass", "projParameter") or _WRITTEN.match(key) is not None
-
-
-def _reads_parameter(key: str) -> bool:
-    """Whether the value of a <param> with this key names a file that SUMO reads."""
-    return key.strip() in _READ_PARAMETERS
-
-
-def _writes_parameter(key: str) -> bool:
-    """Whether the value of a <param> with this key names a file that SUMO writes."""
-    return not _reads_parameter(key) and _WRITTEN_PARAMETER.match(key) is not None
-
-
-_PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")  # spelt alike in every language
-
-
 class FilteredFiles:
     """The files of one scenario on their way into a folder."""
 
@@ -257,17 +184,22 @@ class FilteredFiles:
         return self._place(path, named_by, ())
 
     def place_option(self, option: SumoOption, path: Path, named_by: Path) -> Path:
-        """The file, or the filtered copy of it, that an option names to be read. Raises TownError as `place` does."""
+        """The file, or the filtered copy of it, that an option names to be read.
+
+        Raises TownError as `place` does.
+        """
         if option.reads is Content.FOLDER:
             check_inside(path, self._border, named_by)
             return path.absolute()
-        return self.place(path, named_by) if option.reads is Content.XML else self.place_text(path, named_by)
+        place = self.place if option.reads is Content.XML else self.place_text
+        return place(path, named_by)
 
     def place_text(self, path: Path, named_by: Path) -> Path:
         """A file that SUMO reads as something else than XML, where it is.
 
         Raises:
-            TownError: it is not there, is no regular file, is too large, or lies outside of the border.
+            TownError: it is not there, is no regular file, is too large, or lies outside of the
+                border.
         """
         whole = self._note(path, named_by)
         read_file_size(whole, SCENARIO)
@@ -288,21 +220,36 @@ class FilteredFiles:
         return whole
 
     def _filtered(self, path: Path, above: tuple[Path, ...]) -> Path:
+        # 1. Look through it. Most files name no other one, and are not parsed for that.
         data, names = read_bytes(path, MAX_XML_BYTES), _NamesFiles(escape(path))
         scan(data, escape(path), names)
         plain = _PLAIN.fullmatch(str(path)) is not None
         if plain and not names.found:
             return path
+
+        # 2. Change the names in it.
         root = without_namespaces(parse_root(data, escape(path)))
         changes = [self._change(element, path, above) for element in root.iter()]
         if plain and not any(changes):
             return path
+
+        # 3. Write the copy. What it reads has to be found from another folder too.
         for element in root.iter():
-            _make_absolute(element, path)
-        return self._copy(path, root)
+            for key, value in element.attrib.items():
+                if value and ((element.tag, key) in _READ or key in _PICTURES):
+                    element.set(key, str((path.parent / value).absolute()))
+        name = _UNSAFE.sub("_", path.name.removesuffix(".gz"))[-_MAX_LENGTH:].lstrip(".")
+        place = self._copies.folder / self._copies.unique(name or "file.xml")
+        place.parent.mkdir(parents=True, exist_ok=True)
+        ElementTree.ElementTree(root).write(place, encoding="UTF-8", xml_declaration=True)
+        return place
 
     def _change(self, element: Element, path: Path, above: tuple[Path, ...]) -> bool:
-        """Lead what an element writes into the folder, and what it reads to filtered files; True if that changed it."""
+        """Lead what an element writes into the folder, and what it reads to filtered files.
+
+        Returns:
+            Whether that changed it.
+        """
         before = dict(element.attrib)
         for key, value in before.items():
             there = path.parent / value
@@ -315,40 +262,122 @@ class FilteredFiles:
                 self.pictures[there.absolute()] = None
             elif _WRITTEN.match(key) and value not in NOWHERE:
                 element.set(key, str(self.names.place(value, path.parent, f"{element.tag}.xml")))
+        # A parameter is named by one attribute, and its file by another one.
         if element.tag == "param" and before.get("value"):
-            self._change_parameter(element, path, above)
+            key, value = element.get("key", ""), element.attrib["value"]
+            if _writes_parameter(key) and value not in NOWHERE:
+                written = self.names.place(value, path.parent, f"{key.strip()}.xml")
+                element.set("value", str(written))
+            elif _reads_parameter(key):
+                named = (path.parent / part.strip() for part in value.split(","))
+                read = [str(self._place(there, path, above)) for there in named]
+                element.set("value", ",".join(read))
         return before != element.attrib
-
-    def _change_parameter(self, element: Element, path: Path, above: tuple[Path, ...]) -> None:
-        key, value = element.get("key", ""), element.attrib["value"]
-        if _writes_parameter(key) and value not in NOWHERE:
-            element.set("value", str(self.names.place(value, path.parent, f"{key.strip()}.xml")))
-        elif _reads_parameter(key):
-            found = [self._place(path.parent / part.strip(), path, above) for part in value.split(",")]
-            element.set("value", ",".join(map(str, found)))
-
-    def _copy(self, path: Path, root: Element) -> Path:
-        name = _UNSAFE.sub("_", path.name.removesuffix(".gz"))[-_MAX_LENGTH:].lstrip(".") or "file.xml"
-        place = self._copies.folder / self._copies.unique(name)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        ElementTree.ElementTree(root).write(place, encoding="UTF-8", xml_declaration=True)
-        return place
-
-
-def _make_absolute(element: Element, path: Path) -> None:
-    """Names that are read are found from another folder too."""
-    for key, value in element.attrib.items():
-        if value and ((element.tag, key) in _READ or key in _PICTURES):
-            element.set(key, str((path.parent / value).absolute()))
 
 
 def without_namespaces(root: Element) -> Element:
-    """The same tree with the bare names that SUMO goes by; attributes of other namespaces are left out."""
+    """The same tree with the bare names that SUMO uses, without attributes of other namespaces."""
     for element in root.iter():
+        # The tag of a comment is no text.
         tag: object = element.tag
-        if not isinstance(tag, str):  # a comment
+        if not isinstance(tag, str):
             continue
         element.tag = tag.rpartition("}")[2]
         for key in [key for key in element.attrib if key.startswith("{")]:
             del element.attrib[key]
     return root
+
+
+def _follow(
+    path: Path, border: Path | None, above: tuple[Path, ...], found: dict[Path, Path]
+) -> None:
+    real = Path(os.path.realpath(path))
+    below = _below(above, real, escape(path))
+    if real in found:
+        return
+    found[real] = path
+    for name in _included(path):
+        there = path.parent / name
+        check_file(there, border, path)
+        _follow(there, border, below, found)
+
+
+def _below(above: tuple[Path, ...], path: Path, where: str) -> tuple[Path, ...]:
+    """The files that lead to what a file includes.
+
+    Raises TownError when they lead back to it, or are too many.
+    """
+    if path in above or len(above) >= MAX_DEPTH:
+        chain = " -> ".join(item.name for item in (*above, path))
+        raise TownError(f"{where}: its files include each other ({chain}); remove one <include>")
+    return (*above, path)
+
+
+def _included(path: Path) -> list[str]:
+    """The names that a file includes; most files have none, and are not parsed for that."""
+    data, names = read_bytes(path), list[str]()
+    if b"include" not in data:
+        return names
+
+    def visit(tag: str, attributes: list[str]) -> None:
+        if tag.rpartition(":")[2] == "include":
+            names.append(dict(zip(attributes[::2], attributes[1::2], strict=True)).get("href", ""))
+
+    scan(data, escape(path), visit)
+    return [name for name in names if name]
+
+
+class _NamesFiles:
+    """Goes through the elements of a file, and knows afterwards whether any names another file."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._plain: set[str] = set()  # keys that were looked at and name no file
+        self.found = False
+
+    def __call__(self, tag: str, attributes: list[str]) -> None:
+        """Note an element. Raises TownError for names of files that belong in no scenario."""
+        if self._plain.issuperset(attributes[::2]):
+            return
+        odd = [key for key in attributes[::2] if _may_name(key.rpartition(":")[2])]
+        self._plain.update(key for key in attributes[::2] if key not in odd)
+        if not odd:
+            return
+
+        # It has an attribute that names a file, or may do so.
+        values = dict(zip(attributes[::2], attributes[1::2], strict=True))
+        emission = values.get("emissionClass", "")
+        if ".." in emission or emission.startswith("/"):
+            raise TownError(
+                f"{self._where}: has emissionClass={escape(emission, 60)!r}; "
+                "expected a name: correct it"
+            )
+        projection = values.get("projParameter", "")
+        if _GRIDS.search(projection):
+            raise TownError(
+                f"{self._where}: has projParameter={escape(projection, 60)!r}, "
+                "which names a file; expected one without"
+            )
+        is_parameter = tag.rpartition(":")[2] == "param"
+        for key, value in values.items():
+            name = key.rpartition(":")[2]
+            if name == "key":
+                names_file = _writes_parameter(value) or _reads_parameter(value)
+                self.found |= is_parameter and names_file
+            elif name not in ("emissionClass", "projParameter") and _may_name(name):
+                self.found = True
+
+
+def _may_name(key: str) -> bool:
+    special = key in ("key", "href", "emissionClass", "projParameter")
+    return special or _WRITTEN.match(key) is not None
+
+
+def _reads_parameter(key: str) -> bool:
+    """Whether the value of a <param> with this key names a file that SUMO reads."""
+    return key.strip() in _READ_PARAMETERS
+
+
+def _writes_parameter(key: str) -> bool:
+    """Whether the value of a <param> with this key names a file that SUMO writes."""
+    return not _reads_parameter(key) and _WRITTEN_PARAMETER.match(key) is not None

@@ -21,7 +21,12 @@ _NET = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:<\?[^<>]*>\s*)?<net[\s>]")
 _LIMITS = Limits(wall_s=30.0, cpu_s=20, memory_bytes=4 << 30, file_bytes=1 << 24)
 _DROPPED_TOPICS = ("configuration", "gui_only", "traci_server")
 _DROPPED = ("output-prefix", "output-suffix", "verbose", "print-options", "help", "version")
-_INPUTS = ("astar.all-distances", "astar.landmark-distances", "phemlight-path", "device.fcd-replay.files")
+_INPUTS = (
+    "astar.all-distances",
+    "astar.landmark-distances",
+    "phemlight-path",
+    "device.fcd-replay.files",
+)
 _WRITES = re.compile(r"[.-](file|files|output|log)$|^log$")
 _TEXTS = tuple(name for name in _INPUTS if name.startswith("astar."))
 _FOLDERS = ("phemlight-path",)
@@ -65,7 +70,7 @@ class SumoOption:
 
     @property
     def treatment(self) -> Treatment:
-        """What may be done with it: whatever could write a file and is not known to read one counts as output."""
+        """What may be done with it: what could write a file is output, unless known to read one."""
         if self.topic in _DROPPED_TOPICS or self.name in _DROPPED:
             return Treatment.DROP
         if self.kind != "FILE" and not (self.kind == "STR" and _WRITES.search(self.name)):
@@ -78,7 +83,8 @@ class SumoOption:
         """What an INPUT names; whatever is not known to be something else must be XML."""
         if self.name in _FOLDERS:
             return Content.FOLDER
-        return Content.TEXT if self.name in _TEXTS or self.name.endswith("input-file") else Content.XML
+        is_text = self.name in _TEXTS or self.name.endswith("input-file")
+        return Content.TEXT if is_text else Content.XML
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +115,7 @@ class Configuration:
         return next((item.value for item in self.given if item.option.name == name), None)
 
     def number(self, name: str, otherwise: float) -> float:
-        """The number that the author gave an option; `otherwise` where that is none: SUMO refuses it in its words."""
+        """The number of an option; `otherwise` where its value is none, which SUMO refuses."""
         try:
             return float(self.value(name) or otherwise)
         except ValueError:
@@ -132,17 +138,20 @@ class Configuration:
         try:
             parts = [float(part) for part in reversed(text.split(":"))]
         except ValueError:
-            raise TownError(f"{self.path}: {text!r} is not a time; expected seconds or hours:minutes:seconds") from None
+            raise TownError(
+                f"{self.path}: {text!r} is not a time; expected seconds or hours:minutes:seconds"
+            ) from None
         return sum(part * share for part, share in zip(parts, (1, 60, 3600, 86400), strict=False))
 
     def files(self, name: str) -> tuple[Path, ...]:
         """The files that an option names."""
-        return next((item.files(self.path.parent) for item in self.given if item.option.name == name), ())
+        found = (item.files(self.path.parent) for item in self.given if item.option.name == name)
+        return next(found, ())
 
 
 @functools.cache
 def sumo_options() -> dict[str, SumoOption]:
-    """Every option of this SUMO by each of its spellings, from the template that SUMO writes of itself.
+    """Every option of this SUMO by each of its spellings, from the template that SUMO writes.
 
     Raises:
         SumoError: SUMO cannot be run.
@@ -150,13 +159,19 @@ def sumo_options() -> dict[str, SumoOption]:
     with create_temporary_folder() as folder:
         run = run_tool("sumo", ["--save-template", "options.xml"], folder, _LIMITS)
         if run.returncode:
-            raise SumoError(f"SUMO did not list its options: {run.reason()}; install the eclipse-sumo wheel again")
-        root = ElementTree.parse(folder / "options.xml").getroot()  # noqa: S314 - SUMO wrote it just now
+            raise SumoError(
+                f"SUMO did not list its options: {run.reason()}; "
+                "install the eclipse-sumo wheel again"
+            )
+        root = ElementTree.parse(folder / "options.xml").getroot()  # noqa: S314 - SUMO wrote it
     found: dict[str, SumoOption] = {}
     for topic in root:
         for element in topic:
             option = SumoOption(
-                name=element.tag, topic=topic.tag, kind=element.get("type", "STR"), default=element.get("value", "")
+                name=element.tag,
+                topic=topic.tag,
+                kind=element.get("type", "STR"),
+                default=element.get("value", ""),
             )
             for spelling in (element.tag, *element.get("synonymes", "").split()):
                 found[spelling] = option
@@ -164,7 +179,7 @@ def sumo_options() -> dict[str, SumoOption]:
 
 
 def read_configuration(sumocfg: Path) -> Configuration:
-    """What a .sumocfg sets: at any depth, by any spelling, as `value=`, as `v=`, or as text, as SUMO takes it.
+    """What a .sumocfg sets, read as SUMO reads it: at any depth and by any spelling.
 
     Raises:
         TownError: it is no configuration, or it names an option that SUMO does not have.
@@ -175,22 +190,31 @@ def read_configuration(sumocfg: Path) -> Configuration:
     known = sumo_options()
     given: dict[str, GivenOption] = {}
     for element in root.iter():
-        value = _value(element)
+        # A value is an attribute, or the text of an element without any other one in it.
+        text = (element.text or "").strip() if not len(element) else ""
+        value = element.get("value", element.get("v", text or None))
         if element is root or value is None:
             continue
+        value = value.strip()
         option = known.get(element.tag)
         if option is None:
-            raise TownError(f"{sumocfg}: SUMO has no option <{element.tag}>; correct its name or remove it")
+            raise TownError(
+                f"{sumocfg}: SUMO has no option <{element.tag}>; correct its name or remove it"
+            )
         if option.name in given:
-            raise TownError(f"{sumocfg}: sets <{option.name}> twice; SUMO takes it once: join the values")
+            raise TownError(
+                f"{sumocfg}: sets <{option.name}> twice; SUMO takes it once: join the values"
+            )
         if value and not _fits(option, value):
-            raise TownError(f"{sumocfg}: <{option.name}> is {value[:40]!r}; expected {_EXPECTED[option.kind]}")
+            raise TownError(
+                f"{sumocfg}: <{option.name}> is {value[:40]!r}; expected {_EXPECTED[option.kind]}"
+            )
         given[option.name] = GivenOption(option=option, value=value)
     return Configuration(path=sumocfg, given=tuple(given.values()))
 
 
 def _fits(option: SumoOption, value: str) -> bool:
-    """Whether a value is of its option's kind: SUMO ignores one that is not, with a message that is easily missed."""
+    """Whether a value is of its option's kind: SUMO ignores others, with hardly a message."""
     kind = option.kind
     if option.name in _NAME_PARTS:
         return re.fullmatch(r"[A-Za-z0-9_.-]+", value) is not None
@@ -204,11 +228,3 @@ def _fits(option: SumoOption, value: str) -> bool:
         return math.isfinite(float(value) if kind == "FLOAT" else int(value))
     except ValueError:
         return False
-
-
-def _value(element: ElementTree.Element) -> str | None:
-    for key in ("value", "v"):
-        if key in element.attrib:
-            return element.attrib[key].strip()
-    text = (element.text or "").strip()
-    return text if text and not len(element) else None

@@ -1,6 +1,6 @@
-"""What wcsim overrides of a scenario's own options: one list of rules, which `tools/overrides_page.py` prints."""
+"""What wcsim overrides of a scenario's own options; `tools/overrides_page.py` prints the rules."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -10,6 +10,17 @@ from wcsim.config.world import JUPEDSIM
 from wcsim.core.reading import read_module_toml
 from wcsim.towns.scenario.options import Configuration, Treatment, read_configuration, sumo_options
 from wcsim.towns.sumo.xml_io import is_true
+
+STEP, _ACTION_STEP = "step-length", "default.action-step-length"
+PEOPLE = "pedestrian.model"
+JUMPING = "nonInteracting"
+"""Of the models of pedestrians, the one whose people have no way between two streets."""
+AGGREGATED = "elechybrid-output.aggregated"
+_DATA = read_module_toml(__file__)
+_FASTER = (
+    "; traffic that was calibrated for longer steps drives 10 to 20 % faster; to correct it, set "
+    "world.action_step_s to 0.5 to 0.7 of the scenario's step"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,25 +45,15 @@ class _Rule(NamedTuple):
     """What happens to an option, in words for the guide."""
 
     option: str
-    says: str
+    effect: str
     why: str
-    fixed: bool = False  # to the value that `says` is, in every run
+    fixed: bool = False  # to the value that `effect` is, in every run
 
 
-STEP, _ACTION_STEP = "step-length", "default.action-step-length"
-PEOPLE = "pedestrian.model"
-JUMPING = "nonInteracting"
-"""Of the models of pedestrians, the one whose people have no way between two streets."""
-AGGREGATED = "elechybrid-output.aggregated"
-_DATA = read_module_toml(__file__)
 RULES = tuple(_Rule(**rule) for rule in _DATA["rules"])
 WHY: dict[str, str] = _DATA["why"] | {rule.option: rule.why for rule in RULES}
 """Why something becomes of an option, by its name, or by its topic where it is one of many."""
-_FIXED = tuple((rule.option, rule.says) for rule in RULES if rule.fixed)
-_FASTER = (
-    "; traffic that was calibrated for longer steps drives 10 to 20 % faster; to correct it, set world.action_step_s "
-    "to 0.5 to 0.7 of the scenario's step"
-)
+_FIXED = tuple((rule.option, rule.effect) for rule in RULES if rule.fixed)
 
 
 def forced(settings: Settings, author_scale: float = 1.0) -> tuple[tuple[str, str], ...]:
@@ -74,55 +75,51 @@ def scenario_overrides(sumocfg: Path, settings: Settings) -> tuple[Override, ...
     """What a world overrides of a scenario, without staging it; see `stage_scenario`."""
     config = read_configuration(sumocfg)
     writes = [item for item in config.given if item.option.treatment is Treatment.OUTPUT]
-    return overrides_of(config, settings, [(item.option.name, f"sumo/{Path(item.value).name}") for item in writes])
+    outputs = [(item.option.name, f"sumo/{Path(item.value).name}") for item in writes]
+    return overrides_of(config, settings, outputs)
 
 
-def overrides_of(config: Configuration, settings: Settings, outputs: Sequence[tuple[str, str]]) -> tuple[Override, ...]:
-    """The rows for one scenario: only what differs from what its author wrote, or what SUMO would else do.
+def overrides_of(
+    config: Configuration, settings: Settings, outputs: Sequence[tuple[str, str]]
+) -> tuple[Override, ...]:
+    """The rows for one scenario: what is not as its author wrote it, or as SUMO does it.
 
     Args:
         config: The author's configuration.
         settings: What the world decides.
         outputs: Options of the author that write files, each with the value it gets.
     """
-    files = [_override(config, name, value, WHY["outputs"]) for name, value in outputs]
-    return (*_forced_rows(config, settings), *files, *_aggregated_rows(config), *_idle_rows(config))
+    rows: list[Override] = []
 
+    def add(option: str, author: str | None, value: str, why: str) -> None:
+        rows.append(Override(option=option, author=author or "", wcsim=value, why=why))
 
-def _override(config: Configuration, name: str, value: str, why: str) -> Override:
-    return Override(option=name, author=config.value(name) or "", wcsim=value, why=why)
-
-
-def _forced_rows(config: Configuration, settings: Settings) -> Iterator[Override]:
-    """What a world sets, where that is another value than it would have been."""
+    # 1. What a world sets. Shorter steps than the author's change the traffic, unless the drivers'
+    # decision interval is set.
+    chosen = settings.world.action_step_s is not None or config.value(_ACTION_STEP) is not None
+    faster = config.number(STEP, 1.0) > settings.world.tick_s and not chosen
     for name, value in forced(settings, config.scale):
         author, default = config.value(name), sumo_options()[name].default
-        if not _same(default if author is None else author, value):
-            given = f"{default} (default)" if author is None and name == STEP else author or ""
-            why = WHY[name] + _faster(config, settings) * (name == STEP)
-            yield Override(option=name, author=given, wcsim=value, why=why)
+        if _same(default if author is None else author, value):
+            continue
+        given = f"{default} (default)" if author is None and name == STEP else author
+        add(name, given, value, WHY[name] + _FASTER * (faster and name == STEP))
 
+    # 2. What the author writes.
+    for name, value in outputs:
+        add(name, config.value(name), value, WHY["outputs"])
+    aggregated = config.value(AGGREGATED)
+    if config.value("elechybrid-output") and not _same(aggregated or "false", "true"):
+        add(AGGREGATED, aggregated, "true", WHY[AGGREGATED])
 
-def _aggregated_rows(config: Configuration) -> Iterator[Override]:
-    if config.value("elechybrid-output") and not _same(config.value(AGGREGATED) or "false", "true"):
-        yield _override(config, AGGREGATED, "true", WHY[AGGREGATED])
-
-
-def _idle_rows(config: Configuration) -> Iterator[Override]:
-    """Options of the author that do nothing in a world."""
+    # 3. What does nothing in a world.
     for item in config.given:
-        topic, name = item.option.topic, item.option.name
+        name = item.option.name
         if item.option.treatment is Treatment.DROP:
-            why = WHY.get(topic, WHY["no-step-log"])
-            yield Override(option=name, author=item.value, wcsim="(left out)", why=why)
+            add(name, item.value, "(left out)", WHY.get(item.option.topic, WHY["no-step-log"]))
         elif name == "end":
-            yield Override(option="end", author=item.value, wcsim="(not the run's end)", why=WHY[name])
-
-
-def _faster(config: Configuration, settings: Settings) -> str:
-    """What shorter steps than the author's do to the traffic, unless the drivers' decision interval is set."""
-    chosen = settings.world.action_step_s is not None or config.value(_ACTION_STEP) is not None
-    return _FASTER if config.number(STEP, 1.0) > settings.world.tick_s and not chosen else ""
+            add(name, item.value, "(not the run's end)", WHY[name])
+    return tuple(rows)
 
 
 def _same(author: str, value: str) -> bool:

@@ -1,4 +1,4 @@
-"""A scenario on its way into a world: filtered copies in the run folder, the author's own files untouched."""
+"""A scenario on its way into a world: copies in the run folder; its author's files stay."""
 
 import hashlib
 import re
@@ -19,12 +19,21 @@ from wcsim.towns.scenario.options import (
     read_configuration,
     sumo_options,
 )
-from wcsim.towns.scenario.overrides import AGGREGATED, JUMPING, Override, Settings, forced, overrides_of
+from wcsim.towns.scenario.overrides import (
+    AGGREGATED,
+    JUMPING,
+    Override,
+    Settings,
+    forced,
+    overrides_of,
+)
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.warning_log import ERROR_LOG
 from wcsim.towns.sumo.xml_io import is_true
 
-_UNEVEN = (  # the name of an output, what fcd-output writes, and its leader distance
+# Matches the name of an output, what fcd-output writes, and its leader distance, if SUMO dies when
+# it writes that as parquet: it does so as soon as two elements differ.
+_UNEVEN = (
     r"((tripinfo|personinfo|vehroute|personroute|full)-output|netstate-dump|(message-|error-)?log|"
     r"save-state\.(prefix|files)) "
     r"|fcd-output (.*\b(all|stage|vehicle)\b|.* [0.]*[1-9])"
@@ -38,7 +47,8 @@ class Scenario:
     sumocfg: Path  # the filtered copy, to be opened with sumo or sumo-gui as it is
     overrides: tuple[Override, ...]
     notes: tuple[str, ...]  # what its users should know
-    outputs: tuple[Path, ...]  # files that it may write, besides warnings, and ssm.xml of safety devices
+    # Files that it may write, besides warnings, and ssm.xml of safety devices.
+    outputs: tuple[Path, ...]
     warnings: str  # the file of SUMO's warnings; "" where there is none
     author_scale: float
     begin_s: float
@@ -46,59 +56,83 @@ class Scenario:
     inputs: tuple[Path, ...]  # everything SUMO reads, as its author wrote it
 
 
-def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequence[str] = ()) -> Scenario:
+def stage_scenario(
+    town: Town, settings: Settings, folder: Path, outputs: Sequence[str] = ()
+) -> Scenario:
     """Write the filtered copies of a town's scenario into `folder`, an empty one of its own.
 
     Args:
         town: The town.
         settings: What the world decides.
         folder: Everything SUMO writes will appear here.
-        outputs: More outputs to ask for, by SUMO's names without "-output" ("fcd", "tripinfo").
+        outputs: More outputs, by SUMO's names without "-output" ("fcd", "tripinfo").
 
     Raises:
         TownError: a file is missing or broken, or the scenario cannot be run here.
         ConfigError: there is no such output.
     """
+    # 1. Read it, and make the folder.
     config = read_configuration(town.sumocfg)
     if is_true(config.value("mesosim") or "false"):
-        raise TownError(f"{config.path}: is mesoscopic (mesosim): vehicles have no positions; remove that option")
+        raise TownError(
+            f"{config.path}: is mesoscopic (mesosim): vehicles have no positions; "
+            "remove that option"
+        )
     files = FilteredFiles(folder.absolute(), town.border)
     names = files.names
     names.unique(town.sumocfg.name)
-    _make(folder)
-    set_here = dict(forced(settings, config.scale))
-    unasked = _unasked_outputs(config, names)
-    kept = [
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TownError(
+            f"{folder}: cannot be created ({error.strerror}); choose another run folder"
+        ) from None
+
+    # 2. Gather the options with their values, which leads their files into the folder.
+    set_here = dict(forced(settings, config.scale)) | _implied_outputs(config, names)
+    options = [
         (item.option, _value(item, config, names, files))
         for item in config.given
-        if item.value and item.option.treatment is not Treatment.DROP and item.option.name not in (*set_here, *unasked)
+        if item.value
+        and item.option.treatment is not Treatment.DROP
+        and item.option.name not in set_here
     ]
-    kept += _asked_for(outputs, config, names)
-    kept += [(sumo_options()[name], value) for name, value in (set_here | unasked).items()]
-    # SUMO writes some outputs as parquet until two of their elements differ; then it aborts the process.
-    fcd = f"{config.value('fcd-output.attributes')} {config.value('fcd-output.max-leader-distance')}"
-    for option, value in kept:
-        if re.match(_UNEVEN, f"{option.name} {fcd}") and (
-            value.endswith(".parquet") or config.value("output.format") == "parquet"
-        ):
+    options += _more_outputs(outputs, config, names)
+    options += [(sumo_options()[name], value) for name, value in set_here.items()]
+
+    # 3. Refuse what SUMO dies of.
+    fcd = [config.value(f"fcd-output.{key}") for key in ("attributes", "max-leader-distance")]
+    for option, value in options:
+        is_parquet = value.endswith(".parquet") or config.value("output.format") == "parquet"
+        if is_parquet and re.match(_UNEVEN, f"{option.name} {fcd[0]} {fcd[1]}"):
             raise TownError(
-                f"{config.path}: SUMO dies when it writes <{option.name}> as parquet; expected XML or CSV: end its "
-                "file's name in .xml, without <output.format>"
+                f"{config.path}: SUMO dies when it writes <{option.name}> as parquet; expected XML "
+                "or CSV: end its file's name in .xml, without <output.format>"
             )
-    text = _configuration_text(kept)
+
+    # 4. Write the configuration.
+    root = ElementTree.Element("sumoConfiguration")
+    for option, value in options:
+        topic = root.find(option.topic)
+        topic = ElementTree.SubElement(root, option.topic) if topic is None else topic
+        ElementTree.SubElement(topic, option.name, value=value)
+    ElementTree.indent(root, "    ")
+    text = ElementTree.tostring(root, encoding="unicode") + "\n"
     sumocfg = names.folder / town.sumocfg.name
     sumocfg.write_text(text, encoding="utf-8")
-    led = [
+
+    # 5. Report what was changed.
+    moved = [
         (option.name, value.replace(f"{names.folder}/", "sumo/"))
-        for option, value in kept
+        for option, value in options
         if option.treatment is Treatment.OUTPUT and config.value(option.name) is not None
     ]
     return Scenario(
         sumocfg=sumocfg,
-        overrides=overrides_of(config, settings, led),
+        overrides=overrides_of(config, settings, moved),
         notes=_notes_of(config),
         outputs=names.paths,
-        warnings=next((value for option, value in kept if option.name == ERROR_LOG), ""),
+        warnings=next((value for option, value in options if option.name == ERROR_LOG), ""),
         author_scale=config.scale,
         begin_s=config.seconds("begin", "0"),
         digest=_digest(text, settings, names.folder, files),
@@ -110,12 +144,14 @@ def files_of(town: Town, config: RunConfig) -> tuple[Path, ...]:
     """Every file that a scenario is made of, its .sumocfg first, and what wcsim itself knows of it.
 
     Raises:
-        TownError: as `stage_scenario`: one is not there, or cannot be read. SUMO opens none of them.
+        TownError: as `stage_scenario`: one is not there, or cannot be read. SUMO opens none of
+            them.
     """
     with create_temporary_folder() as folder:
         inputs = stage_scenario(town, Settings(world=config.world, seed=1), folder).inputs
-    known = town.folder.absolute() / "town.toml"
-    return tuple(dict.fromkeys((town.sumocfg.absolute(), *inputs, *((known,) if known.is_file() else ()))))
+    toml = town.folder.absolute() / "town.toml"
+    known = (toml,) if toml.is_file() else ()
+    return tuple(dict.fromkeys((town.sumocfg.absolute(), *inputs, *known)))
 
 
 def _notes_of(config: Configuration) -> tuple[str, ...]:
@@ -123,45 +159,46 @@ def _notes_of(config: Configuration) -> tuple[str, ...]:
     notes = []
     if config.number("lateral-resolution", 0.0) <= 0.0:
         notes.append(
-            "the scenario has no lateral-resolution, so vehicles pass a wheelchair only by changing lanes; to let "
-            'them pass within a lane, set <lateral-resolution value="0.8"/>'
+            "the scenario has no lateral-resolution, so vehicles pass a wheelchair only by "
+            "changing lanes; to let them pass within a lane, set "
+            '<lateral-resolution value="0.8"/>'
         )
     if config.value("pedestrian.model") == JUMPING:
         notes.append(
-            f"with pedestrian.model {JUMPING} pedestrians jump between streets and ignore wheelchairs; "
-            'to let them walk round it, set <pedestrian.model value="striping"/>'
+            f"with pedestrian.model {JUMPING} pedestrians jump between streets and ignore "
+            "wheelchairs; to let them walk round it, set "
+            '<pedestrian.model value="striping"/>'
         )
     return tuple(notes)
 
 
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise TownError(f"{folder}: cannot be created ({error.strerror}); choose another run folder") from None
-
-
-def _value(item: GivenOption, config: Configuration, names: OutputNames, files: FilteredFiles) -> str:
+def _value(
+    item: GivenOption, config: Configuration, names: OutputNames, files: FilteredFiles
+) -> str:
     """The value that an option has in the filtered copy."""
     folder = config.path.parent
     if item.option.treatment is Treatment.OUTPUT:
-        written = [part.strip() for part in item.value.split(",") if part.strip()]
         instead = f"{item.option.name}.xml"
-        return ",".join(part if part in NOWHERE else str(names.place(part, folder, instead)) for part in written)
+        written = [part.strip() for part in item.value.split(",") if part.strip()]
+        return ",".join(
+            part if part in NOWHERE else str(names.place(part, folder, instead)) for part in written
+        )
     if item.option.treatment is Treatment.INPUT:
-        return ",".join(_quoted(files.place_option(item.option, path, config.path)) for path in item.files(folder))
+        read = (files.place_option(item.option, p, config.path) for p in item.files(folder))
+        return ",".join(map(_quoted, read))
     return item.value
 
 
-def _unasked_outputs(config: Configuration, names: OutputNames) -> dict[str, str]:
+def _implied_outputs(config: Configuration, names: OutputNames) -> dict[str, str]:
     """Options, and their values, that lead what SUMO writes where its author names no file.
 
-    Safety devices write beside the configuration or into the current folder; so do states; and electric vehicles write
-    files that are called by their ids, which may hold a path.
+    Safety devices and states write beside the configuration or into the current folder. Electric
+    vehicles write files that are called by their ids, which may hold a path.
     """
     found = {}
+    # SUMO makes this file with the first such device.
     if not config.value("device.ssm.file"):
-        found["device.ssm.file"] = str(names.folder / names.unique("ssm.xml"))  # made when the first such device is
+        found["device.ssm.file"] = str(names.folder / names.unique("ssm.xml"))
     saves = config.value("save-state.period") or config.value("save-state.times")
     if saves and not config.value("save-state.prefix"):
         found["save-state.prefix"] = str(names.place("state", names.folder, "state"))
@@ -173,27 +210,22 @@ def _unasked_outputs(config: Configuration, names: OutputNames) -> dict[str, str
     return found
 
 
-def _asked_for(outputs: Sequence[str], config: Configuration, names: OutputNames) -> list[tuple[SumoOption, str]]:
-    """The outputs that the user of this run wants besides the author's."""
+def _more_outputs(
+    outputs: Sequence[str], config: Configuration, names: OutputNames
+) -> list[tuple[SumoOption, str]]:
+    """The outputs that the user of this run requests besides the author's."""
     more = []
     for word in outputs:
         option = sumo_options().get(f"{word}-output")
         if option is None or option.kind != "FILE":
-            known = sorted(name.removesuffix("-output") for name in sumo_options() if name.endswith("-output"))
-            raise ConfigError(f"--outputs {word!r}: SUMO has no such output; expected some of: {', '.join(known)}")
+            found = [name for name in sumo_options() if name.endswith("-output")]
+            known = ", ".join(sorted(name.removesuffix("-output") for name in found))
+            raise ConfigError(
+                f"--outputs {word!r}: SUMO has no such output; expected some of: {known}"
+            )
         if not config.value(option.name):
             more.append((option, str(names.place(f"{word}.xml", names.folder, f"{word}.xml"))))
     return more
-
-
-def _configuration_text(options: Sequence[tuple[SumoOption, str]]) -> str:
-    root = ElementTree.Element("sumoConfiguration")
-    for option, value in options:
-        topic = root.find(option.topic)
-        topic = ElementTree.SubElement(root, option.topic) if topic is None else topic
-        ElementTree.SubElement(topic, option.name, value=value)
-    ElementTree.indent(root, "    ")
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def _quoted(path: Path) -> str:

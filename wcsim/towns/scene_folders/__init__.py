@@ -1,1 +1,4 @@
-"""Folders of short street scenes made towns, and families of them with seeds; not what runs them (`wcsim/scenes`)."""
+"""Folders of short street scenes made towns, and families of them with seeds.
+
+`wcsim/scenes` runs them.
+"""

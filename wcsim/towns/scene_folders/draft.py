@@ -1,4 +1,4 @@
-"""A scene before it is written: streets, traffic and a joystick as plain numbers, which a mirror can turn over."""
+"""A scene before it is written: street, traffic and joystick as numbers that can be mirrored."""
 
 import json
 import re
@@ -19,7 +19,7 @@ RECORDING = "stick.csv"
 _Y_OF_SHAPE = re.compile(r"(?<=,)-?[0-9.]+")  # of an edge: no other attribute of it has commas
 
 FORE_M, CASTER_M, AFT_M, HALF_M = 0.8, 0.5, 0.34, 0.31
-"""The usual chair, from its drive axle: to the footplate's edge, the casters, its rear end; and half its width."""
+"""The usual chair: from its drive axle to footplate, casters and rear end; half its width."""
 
 XY = tuple[float, float]
 END_M = 50.0
@@ -27,10 +27,13 @@ LANE_M = 3.25
 KERB_Y_M = -LANE_M
 _HOUSE_M = 8.0
 
-_EDGES = '<edge id="WE" from="W" to="E" type="street"/>\n<edge id="EW" from="E" to="W" type="street"/>'
+_EDGES = (
+    '<edge id="WE" from="W" to="E" type="street"/>\n<edge id="EW" from="E" to="W" type="street"/>'
+)
 _CROSSING = '<crossing node="E" edges="WE EW" priority="true" width="3"/>'
 WALKER = (
-    '<vType id="walker" vClass="pedestrian" length="0.28" width="0.48" height="1.75" speedDev="0" maxSpeed="{:.2f}"/>'
+    '<vType id="walker" vClass="pedestrian" length="0.28" width="0.48" height="1.75" speedDev="0" '
+    'maxSpeed="{:.2f}"/>'
 )
 
 
@@ -54,7 +57,8 @@ class _Thing(NamedTuple):
 class Push(NamedTuple):
     """A joystick from a second on, until the next one.
 
-    In steps of a quarter, which are actions of every action set: who only follows then does what the user asks for.
+    It is in steps of a quarter, which are actions of every action set: an agent that only follows
+    then does exactly what the user requests.
     """
 
     at_s: float
@@ -76,7 +80,10 @@ class Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Draft:
-    """One scene, with the kerb or the danger on the left, in net coordinates; `routes` are lines of XML."""
+    """One scene, with the kerb or the danger on the left, in net coordinates.
+
+    `routes` are lines of XML.
+    """
 
     shows: str
     place: Place
@@ -93,14 +100,18 @@ class Draft:
 def mirrored(draft: Draft) -> Draft:
     """The same with left and right exchanged: y turned over, and traffic on the other side."""
     place = draft.place
+    place = replace(
+        place,
+        nodes=tuple(node._replace(y_m=-node.y_m) for node in place.nodes),
+        edges=_Y_OF_SHAPE.sub(lambda y: _text(-float(y[0])), place.edges),
+        things=tuple(
+            thing._replace(outline_m=tuple((x, -y) for x, y in thing.outline_m))
+            for thing in place.things
+        ),
+    )
     return replace(
         draft,
-        place=replace(
-            place,
-            nodes=tuple(node._replace(y_m=-node.y_m) for node in place.nodes),
-            edges=_Y_OF_SHAPE.sub(lambda y: _text(-float(y[0])), place.edges),
-            things=tuple(t._replace(outline_m=tuple((x, -y) for x, y in t.outline_m)) for t in place.things),
-        ),
+        place=place,
         start_m=(draft.start_m[0], -draft.start_m[1]),
         heading_deg=180.0 - draft.heading_deg,
         stick=tuple(push._replace(right=-push.right) for push in draft.stick),
@@ -112,7 +123,8 @@ def predict_path(start_m: XY, heading_deg: float, stick: Sequence[Push], until_s
     """Where the stick alone leads a chair of the usual settings, on flat ground, obeyed 0.2 s late.
 
     Returns:
-        (N, 4) time in s, x and y of the drive axle in m, heading counter-clockwise from east in rad.
+        (N, 4) time in s, x and y of the drive axle in m, heading counter-clockwise from east in
+        rad.
     """
     chair = ChairConfig()
     limits = drive_limits_from_chair(chair)
@@ -132,71 +144,38 @@ def files_of(draft: Draft, name: str, seed: int) -> dict[str, str]:
     """The texts of a scene's folder, by file name."""
     place = draft.place
     nodes = [
-        f'<node id="{node.name}" x="{_text(node.x_m)}" y="{_text(node.y_m)}" z="{_text(node.z_m)}" type="priority"/>'
+        f'<node id="{node.name}" x="{_text(node.x_m)}" y="{_text(node.y_m)}" '
+        f'z="{_text(node.z_m)}" type="priority"/>'
         for node in place.nodes
     ]
+    # The joystick lasts a little longer than the scene, so that the user does not give up before.
+    rows = ["time_s,x,y"]
+    for number in range(round(draft.duration_s / SAMPLE_S) + 10):
+        right, forward = _at(draft.stick, SAMPLE_S * number)
+        rows.append(f"{SAMPLE_S * number:.1f},{_text(right)},{_text(forward)}")
     files = {
         "street.nod.xml": _xml("nodes", "\n".join(nodes)),
         "street.typ.xml": _xml("types", place.types),
         "street.edg.xml": _xml("edges", place.edges),
         "street.rou.xml": _xml("routes", draft.routes),
         "scene.toml": _toml(draft, name, seed),
-        RECORDING: _csv(draft),
+        RECORDING: "\n".join([*rows, ""]),
     }
     if place.crossings:
         files["street.con.xml"] = _xml("connections", place.crossings)
     if place.things:
-        files["street.add.xml"] = _xml("additional", "\n".join(_poly(thing) for thing in place.things))
+        polygons = []
+        for thing in place.things:
+            shape = " ".join(f"{_text(x)},{_text(y)}" for x, y in thing.outline_m)
+            polygons.append(
+                f'<poly id="{thing.name}" type="{thing.kind}" fill="1" shape="{shape}"/>'
+            )
+        files["street.add.xml"] = _xml("additional", "\n".join(polygons))
     return files
 
 
-def _at(stick: Sequence[Push], time_s: float) -> XY:
-    begun = [push for push in stick if push.at_s <= time_s + 1e-9]
-    return (begun[-1].right, begun[-1].forward) if begun else (0.0, 0.0)
-
-
-def _csv(draft: Draft) -> str:
-    """The joystick until the scene's end and a little longer, so that the user does not give up before."""
-    times_s = [SAMPLE_S * i for i in range(round(draft.duration_s / SAMPLE_S) + 10)]
-    rows = [(time_s, *_at(draft.stick, time_s)) for time_s in times_s]
-    return "\n".join(["time_s,x,y", *(f"{t:.1f},{_text(x)},{_text(y)}" for t, x, y in rows), ""])
-
-
-def _poly(thing: _Thing) -> str:
-    shape = " ".join(f"{_text(x)},{_text(y)}" for x, y in thing.outline_m)
-    return f'<poly id="{thing.name}" type="{thing.kind}" fill="1" shape="{shape}"/>'
-
-
-def _xml(root: str, lines: str) -> str:
-    inside = "".join(f"    {line.strip()}\n" for line in lines.splitlines() if line.strip())
-    return f"<{root}>\n{inside}</{root}>\n"
-
-
-def _toml(draft: Draft, name: str, seed: int) -> str:
-    return f"""\
-name = {json.dumps(name)}
-shows = {json.dumps(draft.shows)}
-seed = {seed}
-duration_s = {_text(draft.duration_s)}
-kerb_height_m = {_text(draft.place.kerb_height_m)}
-lefthand = {json.dumps(draft.lefthand)}
-attention_share = {_text(draft.attention_share)}
-
-[[seats]]
-start_m = [{_text(draft.start_m[0])}, {_text(draft.start_m[1])}]
-heading_deg = {_text(draft.heading_deg)}
-goal_m = [{_text(draft.start_m[0] + draft.ahead_m)}, {_text(draft.start_m[1])}]
-recording = "{RECORDING}"
-"""
-
-
-def _text(value: float) -> str:
-    """Millimetres are enough; never a minus before nothing."""
-    return f"{round(value, 3) + 0.0:.3f}"
-
-
 class Pavement(NamedTuple):
-    """The pavement south of a street that runs east, whose kerb is on the left of who drives east."""
+    """The pavement south of a street that runs east, with the kerb on its northern side."""
 
     width_m: float
 
@@ -236,7 +215,13 @@ def house(name: str, x_m: XY, near_y_m: float, kind: str = "building") -> _Thing
     """A house, or the like, south of `near_y_m`."""
     far_y_m = near_y_m - _HOUSE_M
     west_m, east_m = x_m
-    corners = ((west_m, far_y_m), (east_m, far_y_m), (east_m, near_y_m), (west_m, near_y_m), (west_m, far_y_m))
+    corners = (
+        (west_m, far_y_m),
+        (east_m, far_y_m),
+        (east_m, near_y_m),
+        (west_m, near_y_m),
+        (west_m, far_y_m),
+    )
     return _Thing(name, kind, corners)
 
 
@@ -246,3 +231,36 @@ def path_types(width_m: float, name: str = "shared", priority: int = 1) -> str:
         f'<type id="{name}" priority="{priority}" numLanes="1" speed="8.33" width="{width_m:.2f}" '
         'allow="pedestrian bicycle scooter"/>'
     )
+
+
+def _at(stick: Sequence[Push], time_s: float) -> XY:
+    started = [push for push in stick if push.at_s <= time_s + 1e-9]
+    return (started[-1].right, started[-1].forward) if started else (0.0, 0.0)
+
+
+def _xml(root: str, lines: str) -> str:
+    inside = "".join(f"    {line.strip()}\n" for line in lines.splitlines() if line.strip())
+    return f"<{root}>\n{inside}</{root}>\n"
+
+
+def _toml(draft: Draft, name: str, seed: int) -> str:
+    return f"""\
+name = {json.dumps(name)}
+shows = {json.dumps(draft.shows)}
+seed = {seed}
+duration_s = {_text(draft.duration_s)}
+kerb_height_m = {_text(draft.place.kerb_height_m)}
+lefthand = {json.dumps(draft.lefthand)}
+attention_share = {_text(draft.attention_share)}
+
+[[seats]]
+start_m = [{_text(draft.start_m[0])}, {_text(draft.start_m[1])}]
+heading_deg = {_text(draft.heading_deg)}
+goal_m = [{_text(draft.start_m[0] + draft.ahead_m)}, {_text(draft.start_m[1])}]
+recording = "{RECORDING}"
+"""
+
+
+def _text(value: float) -> str:
+    """Millimetres are enough; never a minus before nothing."""
+    return f"{round(value, 3) + 0.0:.3f}"

@@ -1,4 +1,4 @@
 """SUMO's files and tools: nets, additional files, XML, netconvert and its sisters as children.
 
-No SUMO in this process.
+No SUMO runs in this process.
 """

@@ -1,4 +1,4 @@
-"""What stands in a town, as SUMO's additional files say: buildings, fences, points such as trees, stops of buses."""
+"""What stands in a town, as SUMO's additional files say: polygons, points and stops."""
 
 import logging
 import math
@@ -16,15 +16,16 @@ from wcsim.towns.sumo.net import Lane, Net, points
 from wcsim.towns.sumo.xml_io import is_true, read_root
 from wcsim.types import F64
 
-AUTHOR_KINDS: tuple[str, ...] = tuple(read_module_toml(__file__)["kinds"].split())
-
 log = logging.getLogger("wcsim.towns")
 
+AUTHOR_KINDS: tuple[str, ...] = tuple(read_module_toml(__file__)["kinds"].split())
 AUTHOR_PREFIX = "wcsim."
 _STOPS = ("busStop", "trainStop")
 FARTHEST_M = 1e6  # from the town's middle: farther away is no place
 _SIZES = ("length", "width", "height", "angle")  # SUMO knows the last three as attributes too
-_WHOLE_GROUPS = ("building", "traffic_sign")  # groups whose second word says no more than how it looks
+# Groups whose second word says no more than how it looks.
+_WHOLE_GROUPS = ("building", "traffic_sign")
+_Lanes = Mapping[str, Lane]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +33,9 @@ class Item:
     """One thing: an outline, a line, or a point."""
 
     id: str
-    kind: str  # the last word of SUMO's type: "building.yes" is kind "building", "natural.tree" is "tree"
+    # The last word of SUMO's type, such as "tree" of "natural.tree"; but "building" of
+    # "building.yes".
+    kind: str
     detail: str
     points_W_m: F64  # (K, 2); K = 1 for a point
     filled: bool
@@ -42,27 +45,34 @@ class Item:
     source: str = ""  # the file that says so
 
 
-_Lanes = Mapping[str, Lane]
+def _points_at(
+    lanes: _Lanes, lane_id: str, places_m: tuple[float, ...], left_m: float = 0.0
+) -> F64:
+    """Points (n, 2) at positions along a lane, negative ones from its end, all moved to its left.
 
-
-def _points_at(lanes: _Lanes, lane_id: str, places_m: tuple[float, ...], left_m: float = 0.0) -> F64:
-    """Points (n, 2) at positions along a lane, negative ones from its end, all moved to its left. Raises ValueError."""
+    Raises ValueError.
+    """
     lane = lanes.get(lane_id)
     if lane is None or not lane.is_line:
         raise ValueError(f"the net has no lane {lane_id!r}")
     line = shapely.LineString(lane.points_m)
     length_m = lane.length_m or line.length
-    along = np.clip([(p if p >= 0.0 else p + length_m) / length_m for p in places_m], 0.0, 1.0) * line.length
-    here: F64 = shapely.get_coordinates(shapely.line_interpolate_point(line, along))
+    shares = [(p if p >= 0.0 else p + length_m) / length_m for p in places_m]
+    along_m = np.clip(shares, 0.0, 1.0) * line.length
+    here: F64 = shapely.get_coordinates(shapely.line_interpolate_point(line, along_m))
     if left_m == 0.0:
         return here
-    ahead = shapely.get_coordinates(shapely.line_interpolate_point(line, np.minimum(along + 0.1, line.length)))
-    behind = shapely.get_coordinates(shapely.line_interpolate_point(line, np.maximum(along - 0.1, 0.0)))
+    ahead, behind = (
+        shapely.get_coordinates(shapely.line_interpolate_point(line, at_m))
+        for at_m in (np.minimum(along_m + 0.1, line.length), np.maximum(along_m - 0.1, 0.0))
+    )
     way = (ahead - behind) / np.maximum(1e-9, np.linalg.norm(ahead - behind, axis=1))[:, None]
     return np.asarray(here + left_m * np.column_stack([-way[:, 1], way[:, 0]]))
 
 
-def read_items(files: tuple[Path, ...], origin_m: tuple[int, int], net: Net | None = None) -> list[Item]:
+def read_items(
+    files: tuple[Path, ...], origin_m: tuple[int, int], net: Net | None = None
+) -> list[Item]:
     """All polygons, points of interest and stops of SUMO additional files, without doubles.
 
     Raises:
@@ -77,7 +87,8 @@ def read_items(files: tuple[Path, ...], origin_m: tuple[int, int], net: Net | No
                     item = _item(element, origin_m, lanes, str(path))
                 except (KeyError, ValueError) as error:
                     raise TownError(
-                        f"{path}: <{element.tag}> {element.get('id')!r} is broken ({error}); correct it"
+                        f"{path}: <{element.tag}> {element.get('id')!r} is broken ({error}); "
+                        "correct it"
                     ) from None
             elif element.tag in _STOPS:
                 item = _stop(element, lanes, str(path))
@@ -89,12 +100,16 @@ def read_items(files: tuple[Path, ...], origin_m: tuple[int, int], net: Net | No
 
 
 def _item(element: Element, origin_m: tuple[int, int], lanes: _Lanes, source: str) -> Item | None:
-    """The item of a <poly> or <poi>, or None for one that is not for the street. Raises KeyError or ValueError."""
+    """The item of a <poly> or <poi>, or None for one that is not for the street.
+
+    Raises KeyError or ValueError.
+    """
     full = element.get("type", "")
     author = full.startswith(AUTHOR_PREFIX)
     group, _, detail = full.removeprefix(AUTHOR_PREFIX).partition(".")
     if author and group not in AUTHOR_KINDS:
-        raise ValueError(f"unknown type {full!r}, expected one of {', '.join(AUTHOR_PREFIX + k for k in AUTHOR_KINDS)}")
+        known = ", ".join(AUTHOR_PREFIX + kind for kind in AUTHOR_KINDS)
+        raise ValueError(f"unknown type {full!r}, expected one of {known}")
     place = _place(element, origin_m, lanes, must=author)
     if place is None:
         return None
@@ -125,7 +140,10 @@ def _place(element: Element, origin_m: tuple[int, int], lanes: _Lanes, must: boo
             _leave_out(element, str(error), must)
             return None
     if "lon" in element.attrib or is_true(element.get("geo", "0")):
-        why = "it is placed by longitude and latitude; save it from netedit with x and y, or with lane and pos"
+        why = (
+            "it is placed by longitude and latitude; save it from netedit with x and y, "
+            "or with lane and pos"
+        )
         _leave_out(element, why, must)
         return None
     if element.tag == "poi":
@@ -138,7 +156,7 @@ def _place(element: Element, origin_m: tuple[int, int], lanes: _Lanes, must: boo
 
 
 def _leave_out(element: Element, why: str, must: bool) -> None:
-    """Say in the log that something is left out; what an author placed by hand must not be. Raises ValueError."""
+    """Log that something is left out. Raises ValueError for what an author placed by hand."""
     if must:
         raise ValueError(why)
     log.warning("<%s> %r is left out: %s", element.tag, element.get("id", ""), why)
@@ -146,11 +164,14 @@ def _leave_out(element: Element, why: str, must: bool) -> None:
 
 def _stop(element: Element, lanes: _Lanes, source: str) -> Item | None:
     """A stop of buses or trams: start, middle and end (3, 2) on the middle of its lane."""
+    lane_id = element.get("lane", "")
     try:
-        start_m, end_m = _number(element.get("startPos", "0")), _number(element.get("endPos", "-0.1"))
-        end = _points_at(lanes, element.get("lane", ""), (start_m, end_m))
-        if np.hypot(*(end[1] - end[0])) < 0.5:  # a point is a stop too; its way is that of the lane
-            end = _points_at(lanes, element.get("lane", ""), (max(0.0, start_m - 1.0), start_m + 1.0))
+        start_m = _number(element.get("startPos", "0"))
+        end_m = _number(element.get("endPos", "-0.1"))
+        end = _points_at(lanes, lane_id, (start_m, end_m))
+        # A point is a stop too; its way is that of the lane.
+        if np.hypot(*(end[1] - end[0])) < 0.5:
+            end = _points_at(lanes, lane_id, (max(0.0, start_m - 1.0), start_m + 1.0))
     except ValueError as error:
         _leave_out(element, str(error), must=False)
         return None

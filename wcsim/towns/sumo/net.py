@@ -15,7 +15,19 @@ from wcsim.types import F64
 
 _DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's, for lanes that state none
 WIDEST_M = 60.0  # a wider lane is a slip of the pen
-_NUMBERS = ("shape", "outlineShape", "customShape", "x", "y", "z", "length", "width", "speed", "friction", "radius")
+_NUMBERS = (
+    "shape",
+    "outlineShape",
+    "customShape",
+    "x",
+    "y",
+    "z",
+    "length",
+    "width",
+    "speed",
+    "friction",
+    "radius",
+)
 _SINGLE = ("x", "y")
 _NO_Z = np.zeros(1)
 _WALKERS = {"pedestrian", "wheelchair"}
@@ -115,7 +127,8 @@ class Net:
     connections: tuple[Connection, ...]
     junctions: tuple[_Junction, ...]
     lefthand: bool = False  # traffic keeps to the left
-    phases: tuple[tuple[str, str], ...] = ()  # traffic light and state string of each phase that the net holds
+    # Traffic light and state string of each phase that the net holds.
+    phases: tuple[tuple[str, str], ...] = ()
     z_origin_m: float = 0.0  # the net's own height of W's z = 0
 
     @property
@@ -149,7 +162,10 @@ class Net:
     @property
     def speeds_mps(self) -> dict[str, float]:
         """The speed limit of each street for cars, by its edge."""
-        motor = ((e.id, [lane.speed_mps for lane in e.lanes if lane.kind is LaneKind.MOTOR]) for e in self.edges)
+        motor = (
+            (e.id, [lane.speed_mps for lane in e.lanes if lane.kind is LaneKind.MOTOR])
+            for e in self.edges
+        )
         return {edge: max(limits) for edge, limits in motor if limits and not edge.startswith(":")}
 
     @property
@@ -167,57 +183,69 @@ class Net:
 
 
 def read_net(path: Path, origin_m: tuple[int, int] = (0, 0)) -> Net:
-    """Read a .net.xml[.gz]; all points are moved by -origin_m. Raises TownError when it is not a net."""
+    """Read a .net.xml[.gz]; all points are moved by -origin_m.
+
+    Raises TownError when it is not a net.
+    """
     return net_of(read_root(path), str(path), origin_m)
 
 
 def net_of(root: Element, path: str, origin_m: tuple[int, int] = (0, 0)) -> Net:
-    """A net by its root element; messages call its file `path`. Raises TownError as `read_net` does."""
+    """A net by its root element; messages call its file `path`.
+
+    Raises TownError as `read_net` does.
+    """
     if root.tag != "net":
-        raise TownError(f"{path}: its root element is <{root.tag}>; expected <net>: build it with netconvert")
+        raise TownError(
+            f"{path}: its root element is <{root.tag}>; expected <net>: build it with netconvert"
+        )
     try:
-        edges = tuple(_edge(element, origin_m) for element in root.iterfind("edge"))
-        connections = tuple(_connection(element) for element in root.iterfind("connection"))
-        junctions = tuple(_junction(element, origin_m) for element in root.iterfind("junction"))
-        lefthand = is_true(root.get("lefthand", "0"))
+        net = Net(
+            edges=tuple(_edge(element, origin_m) for element in root.iterfind("edge")),
+            connections=tuple(_connection(element) for element in root.iterfind("connection")),
+            junctions=tuple(_junction(each, origin_m) for each in root.iterfind("junction")),
+            lefthand=is_true(root.get("lefthand", "0")),
+            phases=read_phases(root),
+        )
     except (KeyError, ValueError) as error:
         scan_numbers(root, path)
-        raise TownError(f"{path}: is not a usable net ({error!r}); build it again with netconvert") from None
-    if not any(edge.lanes for edge in edges):
-        raise TownError(f"{path}: has no edge with lanes; expected a street net: build it with netconvert")
-    phases = read_phases(root)
-    return _levelled(Net(edges=edges, connections=connections, junctions=junctions, lefthand=lefthand, phases=phases))
+        raise TownError(
+            f"{path}: is not a usable net ({error!r}); build it again with netconvert"
+        ) from None
+    if not any(edge.lanes for edge in net.edges):
+        raise TownError(
+            f"{path}: has no edge with lanes; expected a street net: build it with netconvert"
+        )
 
-
-def scan_numbers(root: Element, where: str) -> None:
-    """Raise TownError that names the first element of a net with something else where a finite number belongs."""
-    for element in root.iter():
-        for key in _NUMBERS:
-            text = element.get(key)
-            if text is not None and not _all_finite([text] if key in _SINGLE else text.replace(",", " ").split()):
-                told = f"<{element.tag} id={element.get('id')!r}> has {key}={text[:40]!r}"
-                raise TownError(f"{where}: {told}; expected numbers: correct it, or build the net again")
-
-
-def _all_finite(parts: list[str]) -> bool:
-    try:
-        return all(math.isfinite(float(part)) for part in parts)
-    except ValueError:
-        return False
-
-
-def _levelled(net: Net) -> Net:
-    """The same net with heights counted from the middle one of its streets, so that a level town lies at 0."""
+    # Heights are counted from the middle one of the streets, so that a level town lies at 0.
     streets = [lane.z_m for edge in net.streets for lane in edge.lanes]
     heights_m = np.sort(np.concatenate([_NO_Z, *streets])[1 if streets else 0 :])
     if not heights_m.any():
         return net
-    origin_m = float(heights_m[len(heights_m) // 2])
+    level_m = float(heights_m[len(heights_m) // 2])
     edges = tuple(
-        replace(edge, lanes=tuple(replace(lane, z_m=lane.z_m - origin_m) for lane in edge.lanes)) for edge in net.edges
+        replace(edge, lanes=tuple(replace(lane, z_m=lane.z_m - level_m) for lane in edge.lanes))
+        for edge in net.edges
     )
-    junctions = tuple(replace(junction, z_m=junction.z_m - origin_m) for junction in net.junctions)
-    return replace(net, edges=edges, junctions=junctions, z_origin_m=origin_m)
+    junctions = tuple(replace(junction, z_m=junction.z_m - level_m) for junction in net.junctions)
+    return replace(net, edges=edges, junctions=junctions, z_origin_m=level_m)
+
+
+def scan_numbers(root: Element, where: str) -> None:
+    """Raise TownError that names the first element of a net with a number that is none."""
+    for element in root.iter():
+        for key in _NUMBERS:
+            text = element.get(key)
+            if text is None:
+                continue
+            try:
+                for part in [text] if key in _SINGLE else text.replace(",", " ").split():
+                    _finite(part)
+            except ValueError:
+                raise TownError(
+                    f"{where}: <{element.tag} id={element.get('id')!r}> has {key}={text[:40]!r}; "
+                    "expected numbers: correct it, or build the net again"
+                ) from None
 
 
 def read_phases(root: Element) -> tuple[tuple[str, str], ...]:
@@ -235,7 +263,10 @@ def points(text: str, origin_m: tuple[int, int]) -> F64:
 
 
 def _shape(text: str, origin_m: tuple[int, int]) -> tuple[F64, F64]:
-    """A shape's points (K, 2), moved by -origin, and heights (K,), 0 where it states none. Raises ValueError."""
+    """A shape's points (K, 2), moved by -origin, and heights (K,), 0 where it states none.
+
+    Raises ValueError.
+    """
     rows = [(*part.split(","), "0")[:3] for part in text.split()]
     table = np.array(rows, dtype=np.float64).reshape(-1, 3)
     if not np.isfinite(table).all():
@@ -250,15 +281,25 @@ def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
         function="" if function == "normal" else function,
         start=element.get("from", ""),
         end=element.get("to", ""),
-        lanes=tuple(_lane(child, element, function, origin_m) for child in element.iterfind("lane")),
+        lanes=tuple(
+            _lane(child, element, function, origin_m) for child in element.iterfind("lane")
+        ),
         crossed=tuple(element.get("crossingEdges", "").split()),
     )
 
 
 def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, int]) -> Lane:
-    allow, disallow = _permissions(element)
+    # A lane that allows some classes forbids the rest. SUMO's word "all" stands for every class,
+    # and -1 for a width that was not set.
+    allow: frozenset[str] | None = None
+    allowed, forbidden = element.get("allow", "all"), element.get("disallow", "")
+    if forbidden == "all":
+        allow = frozenset()
+    elif allowed != "all":
+        allow = frozenset(allowed.split())
+    disallow = frozenset(forbidden.split() if allow is None else ())
     points_m, z_m = _shape(element.attrib["shape"], origin_m)
-    width_m = _finite(element.get("width", _DEFAULT_LANE_WIDTH_M))  # SUMO writes -1 for one that was not set
+    width_m = _finite(element.get("width", _DEFAULT_LANE_WIDTH_M))
     return Lane(
         id=element.attrib["id"],
         edge_id=edge.attrib["id"],
@@ -280,16 +321,6 @@ def _finite(text: str | float) -> float:
     if math.isfinite(value := float(text)):
         return value
     raise ValueError(f"{text!r} is not finite")
-
-
-def _permissions(element: Element) -> tuple[frozenset[str] | None, frozenset[str]]:
-    """Classes allowed (None: all but the others) and forbidden, SUMO's word "all" resolved."""
-    allow, disallow = element.get("allow"), element.get("disallow", "")
-    if disallow == "all":
-        return frozenset(), frozenset()
-    if allow is None or allow == "all":
-        return None, frozenset(disallow.split())
-    return frozenset(allow.split()), frozenset()
 
 
 def _lane_kind(function: str, allow: frozenset[str] | None) -> LaneKind:
@@ -331,4 +362,6 @@ def _connection(element: Element) -> Connection:
 
 def _junction(element: Element, origin_m: tuple[int, int]) -> _Junction:
     outline_m, z_m = _shape(element.get("shape", ""), origin_m)
-    return _Junction(id=element.attrib["id"], kind=element.get("type", ""), outline_m=outline_m, z_m=z_m)
+    return _Junction(
+        id=element.attrib["id"], kind=element.get("type", ""), outline_m=outline_m, z_m=z_m
+    )

@@ -1,4 +1,4 @@
-"""SUMO's command line tools as children, with limits on time and memory; the end of their output is kept."""
+"""SUMO's command line tools as children, with limits on time and memory."""
 
 import importlib.util
 import os
@@ -20,7 +20,10 @@ UTF_8 = "C.UTF-8"  # the locale in which file names have any letters
 _NOT_FOUND: Final = re.compile(r"\b(lib[\w.+-]+?\.so[.\d]*): cannot open shared object file")
 _NOT_STARTED = 127  # what the loader ends with where a library is not there
 SYSTEM_PACKAGES: Final = "libgl1 libxext6 libxrender1 libatomic1"
-"""Of Debian and Ubuntu: what SUMO's wheels leave to the system, and a machine without a screen may not have."""
+"""Of Debian and Ubuntu.
+
+What SUMO's wheels leave to the system, and a machine without a screen may not have.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,30 +63,54 @@ def sumo_home() -> Path:
     spec = importlib.util.find_spec("sumo")
     places = list(spec.submodule_search_locations or ()) if spec is not None else []
     if not places or not (Path(places[0]) / "bin").is_dir():
-        raise SumoError("the eclipse-sumo wheel is not installed; install it: pip install 'eclipse-sumo>=1.28,<1.29'")
+        raise SumoError(
+            "the eclipse-sumo wheel is not installed; install it: "
+            "pip install 'eclipse-sumo>=1.28,<1.29'"
+        )
     return Path(places[0])
 
 
-def run_tool(name: str, arguments: Sequence[str], folder: Path, limits: Limits | None = None) -> ToolRun:
-    """Run a tool of the eclipse-sumo wheel in `folder`. Raises SumoError when it cannot start or takes too long."""
+def run_tool(
+    name: str, arguments: Sequence[str], folder: Path, limits: Limits | None = None
+) -> ToolRun:
+    """Run a tool of the eclipse-sumo wheel in `folder`.
+
+    Raises SumoError when it cannot start or takes too long.
+    """
     home = sumo_home()
     projections = str(home / "data" / "proj")  # without it netconvert says "Cannot find proj.db"
-    environment = os.environ | {"SUMO_HOME": str(home), "PROJ_LIB": projections, "PROJ_DATA": projections}
-    run = run_child(name, [str(home / "bin" / name), *arguments], folder, environment, limits or Limits())
+    environment = os.environ | {
+        "SUMO_HOME": str(home),
+        "PROJ_LIB": projections,
+        "PROJ_DATA": projections,
+    }
+    run = run_child(
+        name, [str(home / "bin" / name), *arguments], folder, environment, limits or Limits()
+    )
     if run.returncode == _NOT_STARTED and (cure := missing_library(run.output)):
         raise SumoError(f"{name} cannot be started: {cure}")
     return run
 
 
 def by_file(lists: Mapping[str, Sequence[str]], config: Path) -> list[str]:
-    """Words that give a tool lists of names by option, in the new file `config`: a word has room for 128 KiB only."""
-    options = (f"<{option} value={quoteattr(','.join(names))}/>" for option, names in lists.items() if names)
+    """Words that give a tool lists of names by option, in the new file `config`."""
+    # A word has room for 128 KiB only.
+    options = (
+        f"<{option} value={quoteattr(','.join(names))}/>"
+        for option, names in lists.items()
+        if names
+    )
     config.write_text(f"<configuration>{''.join(options)}</configuration>", encoding="utf-8")
     return ["-c", config.name]
 
 
-def run_child(name: str, command: Sequence[str], folder: Path, env: Mapping[str, str], limits: Limits) -> ToolRun:
-    """Run a command under limits, `name` being what messages call it. Raises SumoError as `run_tool` does."""
+def run_child(
+    name: str, command: Sequence[str], folder: Path, env: Mapping[str, str], limits: Limits
+) -> ToolRun:
+    """Run a command under limits, `name` being what messages call it.
+
+    Raises SumoError as `run_tool` does.
+    """
     try:
         run = run_command(
             command,
@@ -94,9 +121,13 @@ def run_child(name: str, command: Sequence[str], folder: Path, env: Mapping[str,
             on_start=partial(_limit, limits=limits),
         )
     except ChildProcessError as error:
-        raise SumoError(f"{name} cannot be started ({error}); install the eclipse-sumo wheel again") from None
+        raise SumoError(
+            f"{name} cannot be started ({error}); install the eclipse-sumo wheel again"
+        ) from None
     except subprocess.TimeoutExpired:
-        raise SumoError(f"{name} took longer than {limits.wall_s:.0f} s; try a smaller area") from None
+        raise SumoError(
+            f"{name} took longer than {limits.wall_s:.0f} s; try a smaller area"
+        ) from None
     return ToolRun(name=name, returncode=run.returncode, output=run.stdout)
 
 
@@ -110,22 +141,23 @@ def _limit(child: subprocess.Popen[bytes], limits: Limits) -> None:
     ):
         try:
             resource.prlimit(child.pid, kind, (value, value))
-        except (ProcessLookupError, PermissionError, ValueError):  # ended already, or a tighter limit holds
+        # Ended already, or a tighter limit holds.
+        except (ProcessLookupError, PermissionError, ValueError):
             continue
 
 
-def missing_library(said: str) -> str:
-    """What to do where the loader says that a library of the system is not there; "" where it says nothing of the kind.
+def missing_library(output: str) -> str:
+    """What to do where the loader reports that a library of the system is not there; else "".
 
-    >>> missing_library("ImportError: libXrender.so.1: cannot open shared object file: No such file or directory")[:35]
+    >>> missing_library("ImportError: libXrender.so.1: cannot open shared object file: No")[:35]
     'the library libXrender.so.1 is miss'
     >>> missing_library("cannot open shared object file")
     ''
     """
-    found = _NOT_FOUND.search(said)
+    found = _NOT_FOUND.search(output)
     if found is None:
         return ""
     return (
-        f"the library {found[1]} is missing; SUMO needs some libraries of the system. On Debian or Ubuntu: "
-        f"sudo apt install {SYSTEM_PACKAGES}"
+        f"the library {found[1]} is missing; SUMO needs some libraries of the system. "
+        f"On Debian or Ubuntu: sudo apt install {SYSTEM_PACKAGES}"
     )

@@ -1,4 +1,4 @@
-"""What SUMO warns of: a file of its own, which is read while SUMO writes it and kept within a budget."""
+"""What SUMO warns of: a file that is read while SUMO writes it, and that stays small."""
 
 import os
 import re
@@ -12,7 +12,7 @@ _MOST_BYTES = 4 << 20  # of the file; what comes later is counted, not kept
 
 
 class WarningLog:
-    """The warnings of one simulation; those that differ in names and numbers alone are of one kind."""
+    """The warnings of one simulation; those that differ in names and numbers are of one kind."""
 
     def __init__(self, path: str) -> None:
         """Begin with none; `path` is the file that SUMO writes, "" where it writes none."""
@@ -21,7 +21,10 @@ class WarningLog:
         self._path, self._done, self._rest = path, 0, b""
 
     def read(self) -> None:
-        """Count what has come since the last time. SUMO writes in blocks, and the last of them when it ends."""
+        """Count what has come since the last time.
+
+        SUMO writes in blocks, and the last of them when it ends.
+        """
         try:
             if os.path.getsize(self._path) <= self._done:  # noqa: PTH202 - in every step
                 return
@@ -32,10 +35,12 @@ class WarningLog:
             # SUMO goes on at the place where it was, so the file stays short and gets a hole.
             if self._done > _MOST_BYTES:
                 os.truncate(self._path, _MOST_BYTES)
-        except OSError:  # it is not there: there never was one, or somebody has removed it
+        # It is not there: there never was one, or it was removed.
+        except OSError:
             return
         lines, _, self._rest = (self._rest + data).rpartition(b"\n")
-        for told in re.findall("Warning: (.*)", lines.decode(errors="replace")):
+        for message in re.findall("Warning: (.*)", lines.decode(errors="replace")):
             self.count += 1
             if len(self.first) < 20:
-                self.first.setdefault(re.sub(r"'[^']*'|-?\d[\d.]*", "", told), escape(told[:160]))
+                kind = re.sub(r"'[^']*'|-?\d[\d.]*", "", message)
+                self.first.setdefault(kind, escape(message[:160]))

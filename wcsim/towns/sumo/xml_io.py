@@ -1,9 +1,10 @@
-"""Reading XML that others wrote, and writing compressed XML whose bytes depend on nothing but the content.
+"""Reading XML of any author, and writing compressed XML whose bytes depend on the content alone.
 
-SUMO reads XML with another parser than this process. What passes here means the same to both: XML 1.0 in an encoding
-that holds ASCII as it is, without a document type, nested as deep as a scenario needs.
+SUMO has another parser than this process. What passes here means the same to both: XML 1.0 in an
+encoding that holds ASCII as it is, without a document type, nested as deep as a scenario needs.
 
-gzip and bzip2 files are unpacked here too: never more than was asked for, in a time that the result's size bounds.
+gzip and bzip2 files are unpacked here too: never more than was requested, in a time that the
+result's size bounds.
 """
 
 import bz2
@@ -21,19 +22,24 @@ from xml.parsers import expat
 from wcsim.core.reading import XML, escape, open_regular_file
 from wcsim.errors import TownError
 
-MAX_MEMBERS = 1 << 15  # packed one behind the other in a file; those who pack in blocks of 64 KiB need 16 for a MiB
+# A file may have so many packed members. One that is packed in blocks of 64 KiB has 16 for a MiB.
+MAX_MEMBERS = 1 << 15
 _CHUNK_BYTES = 1 << 16
 _GZIP = b"\x1f\x8b"
 MAX_XML_BYTES = XML.limit_bytes
 MAX_NESTING = 100  # elements inside each other; SUMO's own files need ten
 MAX_TAGS = 10_000_000  # each takes memory, however short it is
-MAX_TAG_BYTES = 1 << 20  # of one tag, comment or text; parsers that get a file in pieces begin each of them anew
+# The limit of one tag, comment or text: parsers that get a file in pieces begin each of them anew.
+MAX_TAG_BYTES = 1 << 20
 _SPACE = re.compile(rb"\s*")
 _DECLARATION = re.compile(
-    rb"""<\?xml\s+version\s*=\s*(["'])1\.0\1(?:\s+encoding\s*=\s*(["'])(?P<encoding>[A-Za-z0-9._-]+)\2)?"""
+    rb"""<\?xml\s+version\s*=\s*(["'])1\.0\1"""
+    rb"""(?:\s+encoding\s*=\s*(["'])(?P<encoding>[A-Za-z0-9._-]+)\2)?"""
     rb"""(?:\s+standalone\s*=\s*(["'])(?:yes|no)\4)?\s*\?>"""
 )
-_ENCODING = re.compile(r"utf-?8|(us-)?ascii|iso-?8859-\d{1,2}|latin-?1|windows-125\d", re.IGNORECASE)
+_ENCODING = re.compile(
+    r"utf-?8|(us-)?ascii|iso-?8859-\d{1,2}|latin-?1|windows-125\d", re.IGNORECASE
+)
 _DECLARED = re.compile(rb"<\?[xX][mM][lL][\s?]")
 _BLANKS = b" \t\r\n"
 _TRUE = frozenset(("1", "yes", "true", "on", "x", "t"))
@@ -65,7 +71,7 @@ class _Gunzip:
 
 
 def unpack(file: BinaryIO, most: int) -> bytes:
-    """The first `most` bytes of what a gzip, bzip2 or plain file holds. Raises as `_unpack` when it is broken."""
+    """The first `most` bytes of what a gzip, bzip2 or plain file holds. Raises as `_unpack`."""
     head = file.read(3)
     file.seek(0)
     if head == b"BZh":
@@ -74,7 +80,10 @@ def unpack(file: BinaryIO, most: int) -> bytes:
 
 
 def _unpack(file: BinaryIO, most: int, make: Callable[[], _Gunzip | bz2.BZ2Decompressor]) -> bytes:
-    """The first `most` bytes of what a file holds. Raises EOFError, OSError or zlib.error when it is broken."""
+    """The first `most` bytes of what a file holds.
+
+    Raises EOFError, OSError or zlib.error when it is broken.
+    """
     found, left, members, machine = list[bytes](), most, 1, make()
     data = file.read(_CHUNK_BYTES)
     while left > 0:
@@ -101,10 +110,16 @@ def is_true(text: str) -> bool:
 
 
 def read_bytes(path: Path, limit: int = MAX_XML_BYTES) -> bytes:
-    """Content of a plain or gzip-compressed file, at most `limit` bytes after decompression. Raises TownError."""
+    """Content of a plain or gzip-compressed file, at most `limit` bytes after decompression.
+
+    Raises TownError.
+    """
     data = read_head(path, limit + 1)
     if len(data) > limit:
-        raise TownError(f"{escape(path)}: more than {limit >> 20} MiB of XML; expected less: clip it to a smaller area")
+        raise TownError(
+            f"{escape(path)}: more than {limit >> 20} MiB of XML; expected less: "
+            "clip it to a smaller area"
+        )
     return data
 
 
@@ -125,7 +140,10 @@ def read_root(path: Path, limit: int = MAX_XML_BYTES) -> ElementTree.Element:
 
 
 def parse_root(data: bytes, where: str) -> ElementTree.Element:
-    """Root element of XML text that every parser reads alike, see `check_plain_xml`. Raises TownError."""
+    """Root element of XML text that every parser reads alike, see `check_plain_xml`.
+
+    Raises TownError.
+    """
     check_plain_xml(data, where)
     try:
         root = ElementTree.fromstring(data)  # noqa: S314 - entity declarations are refused above
@@ -140,19 +158,20 @@ def parse_root(data: bytes, where: str) -> ElementTree.Element:
 
 
 def xml_bytes(root: ElementTree.Element) -> bytes:
-    """XML text in UTF-8 with a declaration, as `ElementTree.tostring` gives it for that encoding.
-
-    Made as text and encoded at once: the library encodes each word on its own, which takes twice as long.
-    """
+    """XML text in UTF-8 with a declaration, as `ElementTree.tostring` gives it for that one."""
+    # The library encodes each word on its own, which takes twice as long.
     text: str = ElementTree.tostring(root, encoding="unicode")
     return b"<?xml version='1.0' encoding='utf-8'?>\n" + text.encode("utf-8", "xmlcharrefreplace")
 
 
 def scan(data: bytes, where: str, visit: Visit) -> None:
-    """Go through XML text without keeping it: `visit` gets each tag and its attributes (name, value, name, ...).
+    """Go through XML text without keeping it.
+
+    `visit` gets each tag and its attributes (name, value, name, ...).
 
     Raises:
-        TownError: It is not well-formed, or not what every parser reads alike, see `check_plain_xml`.
+        TownError: It is not well-formed, or not what every parser reads alike, see
+            `check_plain_xml`.
     """
     check_plain_xml(data, where)
     parser, depth = expat.ParserCreate(), 0
@@ -177,10 +196,11 @@ def scan(data: bytes, where: str, visit: Visit) -> None:
 
 
 def check_plain_xml(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
-    """Refuse what one parser may read in another way than the next one, or only in a very long time.
+    """Refuse what parsers may read in different ways, or only in a very long time.
 
-    That is: another encoding than UTF-8, ASCII, or one of their 8-bit relatives, whatever the declaration says; another
-    version of XML, where more letters are blanks; document types, whose entities hide or blow up; and endless tags.
+    That is: another encoding than UTF-8, ASCII, or one of their 8-bit relatives, whatever the
+    declaration says; another version of XML, where more letters are blanks; document types, whose
+    entities hide or blow up; and endless tags.
 
     Raises:
         TownError: It is so.
@@ -188,22 +208,34 @@ def check_plain_xml(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
     start = data.removeprefix(codecs.BOM_UTF8)
     head = start[:MAX_TAG_BYTES].lstrip(_BLANKS)
     if head[:1] != b"<" or b"\0" in data:
-        raise TownError(f"{where}: is not well-formed XML in UTF-8, expected to begin with <; export or build it again")
+        raise TownError(
+            f"{where}: is not well-formed XML in UTF-8, expected to begin with <; "
+            "export or build it again"
+        )
     if _DECLARED.match(head):
         found = _DECLARATION.match(head)
-        if found is None or not _ENCODING.fullmatch((found["encoding"] or b"utf-8").decode("ascii")):
+        if found is None or not _ENCODING.fullmatch(
+            (found["encoding"] or b"utf-8").decode("ascii")
+        ):
             beginning = escape(ascii(head.partition(b">")[0][:120])[2:-1], 120)
-            raise TownError(f"{where}: begins with {beginning}; expected XML 1.0 in UTF-8: save it so")
+            raise TownError(
+                f"{where}: begins with {beginning}; expected XML 1.0 in UTF-8: save it so"
+            )
     if b"<!DOCTYPE" in data:
-        raise TownError(f"{where}: has a document type definition; expected plain UTF-8 XML: remove it")
+        raise TownError(
+            f"{where}: has a document type definition; expected plain UTF-8 XML: remove it"
+        )
     if data.count(b"<") > most_tags:
-        raise TownError(f"{where}: has more than {most_tags} tags; expected fewer: clip it to a smaller area")
+        raise TownError(
+            f"{where}: has more than {most_tags} tags; expected fewer: clip it to a smaller area"
+        )
     if any(
         data.find(b">", place, place + MAX_TAG_BYTES) < 0
         for place in range(0, len(start) - MAX_TAG_BYTES, MAX_TAG_BYTES)
     ):
         raise TownError(
-            f"{where}: has a tag or a text of more than {MAX_TAG_BYTES} bytes; expected shorter ones: remove it"
+            f"{where}: has a tag or a text of more than {MAX_TAG_BYTES} bytes; "
+            "expected shorter ones: remove it"
         )
 
 
@@ -212,7 +244,10 @@ def _malformed(where: str, error: Exception) -> TownError:
 
 
 def _too_deep(where: str) -> TownError:
-    return TownError(f"{where}: has elements more than {MAX_NESTING} levels inside each other; remove the innermost")
+    return TownError(
+        f"{where}: has elements more than {MAX_NESTING} levels inside each other; "
+        "remove the innermost"
+    )
 
 
 def without_comments(data: bytes) -> bytes:
@@ -226,8 +261,11 @@ def without_comments(data: bytes) -> bytes:
 
 
 def write_gzip(path: Path, data: bytes) -> None:
-    """Write `data` gzip-compressed, without a time stamp or file name, so that equal content gives equal bytes."""
-    with path.open("wb") as raw, gzip.GzipFile("", "wb", compresslevel=9, fileobj=raw, mtime=0) as file:
+    """Write `data` gzip-compressed, without a time stamp or file name: equal data, equal bytes."""
+    with (
+        path.open("wb") as raw,
+        gzip.GzipFile("", "wb", compresslevel=9, fileobj=raw, mtime=0) as file,
+    ):
         file.write(data)
 
 

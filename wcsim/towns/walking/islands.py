@@ -1,4 +1,4 @@
-"""Walkable islands: pieces of pavement and footway without a way on foot to the rest of the town."""
+"""Walkable islands: pieces of pavement without a way on foot to the rest of the town."""
 
 import re
 from collections import defaultdict
@@ -21,43 +21,47 @@ _WAY = re.compile(r"^-*(\d+)(?:#.*)?$")
 
 
 def stray_footways(net: Net, net_path: Path) -> frozenset[str]:
-    """The OpenStreetMap ways, by ids without a sign, of walkers and riders alone that lie on islands only.
+    """The OpenStreetMap ways of walkers and riders alone that lie on islands only.
 
-    Islands are those of the connections that SUMO's walkers use.
+    Ids have no sign. Islands are those of the connections that SUMO's walkers use.
     """
     return frozenset(way for way, quiet in _stray(net, net_path, *_linked(net)).items() if quiet)
 
 
 def stray_ways(net: Net, net_path: Path, parts: list[BaseGeometry]) -> frozenset[str]:
-    """The OpenStreetMap ways, by ids without a sign, that lie on islands only, those with vehicles on them too.
+    """The OpenStreetMap ways that lie on islands only, those with vehicles on them too.
 
-    Islands are the `walkable_parts` of the net but the largest: a link that a carriageway covers is none for a chair.
+    Ids have no sign. Islands are the `walkable_parts` of the net but the largest: a link that a
+    carriageway covers is none for a chair.
     """
     sizes_m2 = {number: part.area for number, part in enumerate(parts)}
     return frozenset(_stray(net, net_path, _touching(net, parts), sizes_m2))
 
 
-def _stray(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[int, float]) -> dict[str, bool]:
-    """The ways without an edge in the largest part, and whether only walkers and riders use them."""
+def _stray(
+    net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[int, float]
+) -> dict[str, bool]:
+    """The ways without an edge in the largest part, and whether they have no vehicles."""
     main = max(sorted(sizes_m2), key=lambda part: sizes_m2[part], default=0)
     made_of = osm_ways_by_edge(net_path)
-    kept: set[str] = set()
+    quiet_kinds = WALK_KINDS | {LaneKind.BIKE, LaneKind.CLOSED}
+    linked: set[str] = set()
     stray: dict[str, bool] = {}
     for edge in net.streets:
         for way in made_of.get(edge.id, ()):
             if part_of.get(edge.id, main) == main:
-                kept.add(way)
+                linked.add(way)
             else:
-                quiet = all(lane.kind in WALK_KINDS | {LaneKind.BIKE, LaneKind.CLOSED} for lane in edge.lanes)
+                quiet = all(lane.kind in quiet_kinds for lane in edge.lanes)
                 stray[way] = stray.get(way, True) and quiet
-    return {way: quiet for way, quiet in stray.items() if way not in kept}
+    return {way: quiet for way, quiet in stray.items() if way not in linked}
 
 
 def walkable_parts(net: Net, chair_ways: tuple[str, ...]) -> list[BaseGeometry]:
     """The connected parts of all pavements and crossings together."""
     surfaces = make_surfaces(on_land(net, fit_relief(net)), chair_ways)
-    joined = buffered(buffered(shapely.union_all([surfaces.pavement, surfaces.crossing]), 0.05), -0.05)
-    return polygons_of(joined)
+    walkable = shapely.union_all([surfaces.pavement, surfaces.crossing])
+    return polygons_of(buffered(buffered(walkable, 0.05), -0.05))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +73,7 @@ class CutOff:
 
 
 def cut_off(net: Net, parts: list[BaseGeometry]) -> tuple[CutOff, ...]:
-    """The parts of `walkable_parts` beside the largest one, largest first, if they hold an edge of a street."""
+    """The `walkable_parts` but the largest, in order of size, that hold an edge of a street."""
     if len(parts) < 2:
         return ()
     order = sorted(range(len(parts)), key=lambda part: -parts[part].area)
@@ -77,7 +81,9 @@ def cut_off(net: Net, parts: list[BaseGeometry]) -> tuple[CutOff, ...]:
     for edge, part in sorted(_touching(net, parts).items()):
         if not edge.startswith(":"):
             edges.setdefault(part, edge)
-    return tuple(CutOff(edge=edges[part], area_m2=parts[part].area) for part in order[1:] if part in edges)
+    return tuple(
+        CutOff(edge=edges[part], area_m2=parts[part].area) for part in order[1:] if part in edges
+    )
 
 
 def largest_share(parts: list[BaseGeometry]) -> float:
@@ -108,13 +114,19 @@ def _linked(net: Net) -> tuple[dict[str, int], dict[int, float]]:
     """The part to which each walkable edge belongs, and the size of the parts."""
     walkable: dict[tuple[str, int], float] = {}
     for edge in net.edges:
-        walkable |= {(edge.id, lane.index): _area_m2(lane) for lane in edge.lanes if lane.kind in _WALKABLE}
+        walkable |= {
+            (edge.id, lane.index): _area_m2(lane) for lane in edge.lanes if lane.kind in _WALKABLE
+        }
     graph = networkx.Graph()
     graph.add_nodes_from(edge_id for edge_id, _ in walkable)
     for link in net.connections:
         if (link.start, link.start_lane) in walkable and (link.end, link.end_lane) in walkable:
             graph.add_edge(link.start, link.end)
-    part_of = {edge_id: part for part, edges in enumerate(networkx.connected_components(graph)) for edge_id in edges}
+    part_of = {
+        edge_id: part
+        for part, edges in enumerate(networkx.connected_components(graph))
+        for edge_id in edges
+    }
     sizes_m2: dict[int, float] = defaultdict(float)
     for (edge_id, _), area_m2 in walkable.items():
         sizes_m2[part_of[edge_id]] += area_m2
@@ -129,7 +141,7 @@ def _area_m2(lane: Lane) -> float:
 
 
 def osm_ways_by_edge(net_path: Path) -> dict[str, tuple[str, ...]]:
-    """The OpenStreetMap ways that each edge was made of: netconvert notes them, unless the edge bears the name."""
+    """The OpenStreetMap ways of each edge: netconvert notes them, unless its name is one."""
     found: dict[str, tuple[str, ...]] = {}
     for edge in read_root(net_path).iterfind("edge"):
         noted = {

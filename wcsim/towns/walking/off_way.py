@@ -1,4 +1,4 @@
-"""Starts where a chair does not belong: before a kerb, below or above it, in a gutter, on grass, in a drive."""
+"""Starts where a chair does not belong: before a kerb, in a gutter, on grass, in a drive."""
 
 import math
 from typing import Final
@@ -23,8 +23,8 @@ _STEP_M: Final = 0.1
 def off_way_start(ground: Ground, near_W_m: F64, rng: np.random.Generator) -> StartSpec | None:
     """A start around a place (2,); None where there is none.
 
-    Mostly it faces the nearest step up or down, from whatever ground, within `FAR_M` of it and with nothing solid
-    before it; else it lies on no way of a chair, and faces anywhere.
+    Mostly it faces the nearest step up or down, from whatever ground, within `FAR_M` of it and with
+    nothing solid before it; else it lies on no way of a chair, and faces anywhere.
     """
     goal = (float(near_W_m[0]), float(near_W_m[1]))
     turns = np.arange(_DIRECTIONS) * 2.0 * math.pi / _DIRECTIONS
@@ -33,11 +33,17 @@ def off_way_start(ground: Ground, near_W_m: F64, rng: np.random.Generator) -> St
     for _ in range(_TRIES):
         place = near_W_m[:2] + rng.uniform(-WITHIN_M, WITHIN_M, 2)
         kind = int(ground.class_at(place))
-        if kind == ClassId.VOID or float(ground.clearance_at(place)) < CLEAR_M or (anywhere and kind in _WAYS):
+        if (
+            kind == ClassId.VOID
+            or float(ground.clearance_at(place)) < CLEAR_M
+            or (anywhere and kind in _WAYS)
+        ):
             continue
         if anywhere:
             yaw_rad = float(rng.uniform(-math.pi, math.pi))
-            return StartSpec(p_W_m=(float(place[0]), float(place[1])), yaw_rad=yaw_rad, goal_W_m=goal)
+            return StartSpec(
+                p_W_m=(float(place[0]), float(place[1])), yaw_rad=yaw_rad, goal_W_m=goal
+            )
         ways = np.stack([np.cos(turns), np.sin(turns)], axis=-1)
         line = place + along_m[:, None] * ways[:, None]
         raised_m = ground.raised_at(line)
@@ -45,7 +51,10 @@ def off_way_start(ground: Ground, near_W_m: F64, rng: np.random.Generator) -> St
         first_m = np.where(steps.any(axis=1), along_m[steps.argmax(axis=1)], np.inf)
         nearest = int(first_m.argmin())
         before = along_m < first_m[nearest]
-        if not FAR_M[0] < first_m[nearest] < FAR_M[1] or (ground.clearance_at(line[nearest, before]) < CLEAR_M).any():
+        if (
+            not FAR_M[0] < first_m[nearest] < FAR_M[1]
+            or (ground.clearance_at(line[nearest, before]) < CLEAR_M).any()
+        ):
             continue
         yaw_rad = float(turns[nearest] + rng.uniform(-1.0, 1.0) * deg2rad(ASIDE_DEG))
         return StartSpec(p_W_m=(float(place[0]), float(place[1])), yaw_rad=yaw_rad, goal_W_m=goal)
