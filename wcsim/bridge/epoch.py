@@ -1,6 +1,7 @@
-"""What a world makes anew for each epoch: an engine with the bodies in it, and those who react to the wheelchairs.
+"""What a world makes anew for each epoch.
 
-The traffic near the wheelchairs, tick by tick: it brakes or stands for them, and is shown as it really moves.
+An engine with the bodies in it, and those who react to the wheelchairs. The traffic near the
+wheelchairs, tick by tick: it brakes or stands for them, and is shown as it really moves.
 
 Without an engine: a world mirrors what is here into one, a bench leads chairs through it by hand.
 """
@@ -39,7 +40,10 @@ class ReactingTraffic:
         attention: AttentionModel,
         sight_m: float = 0.0,
     ) -> None:
-        """Nobody is near a chair yet; `attention` says who of the traffic looks, cameras see `sight_m` far."""
+        """Nobody is near a chair yet.
+
+        `attention` says who of the traffic looks, cameras see `sight_m` far.
+        """
         self.chairs: tuple[ChairInStreet, ...] = ()  # as the traffic sees them in this tick
         self.actors: tuple[ActorState, ...] = ()  # near the chairs now, as they are shown
         self.before: dict[str, ActorState] = {}  # the same a tick ago, by id
@@ -62,7 +66,10 @@ class ReactingTraffic:
             pilot.apply(order)
 
     def read(self, places_W_m: F64) -> tuple[ActorState, ...]:
-        """The actors near the chairs (n, 2) after SUMO's step; whom it has just put on top of a chair leaves again."""
+        """The actors near the chairs (n, 2) after SUMO's step.
+
+        Whom it has just put on top of a chair leaves again.
+        """
         near = self._near(places_W_m)
         on_top = self._drivers.turned_away(self._level(near), self.chairs, self._sumo.come)
         away = [actor_id for actor_id in on_top if self._sumo.turn_away(actor_id)]
@@ -76,7 +83,10 @@ class ReactingTraffic:
         self._take(near, places_W_m)
 
     def look_again(self, places_W_m: F64) -> None:
-        """See the actors near the chairs anew, after a chair has moved to another place; nobody moves."""
+        """See the actors near the chairs anew, after a chair has moved to another place.
+
+        Nobody moves.
+        """
         self._take(self._shown(self._near(places_W_m)), places_W_m)
 
     def blocked(self) -> tuple[Blocked, ...]:
@@ -92,7 +102,10 @@ class ReactingTraffic:
         return self._sumo.actors(places_W_m, self._config.mirror_radius_m)
 
     def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
-        """The same actors with long vehicles as they take a bend: wide of it, and each in its rigid pieces."""
+        """The same actors with long vehicles as they take a bend.
+
+        Wide of it, and each in its rigid pieces.
+        """
         # The swing-out first: the pieces of a vehicle follow the way on which its front is shown.
         return self._articulation.bent(self._wide_turns.shown(near, self._sumo.pilot))
 
@@ -107,7 +120,11 @@ class ReactingTraffic:
         if not self._hilly:
             return actors
         heights_m = [chair.z_m for chair in self.chairs]
-        kept = tuple(a for a in actors if any(abs(float(a.p_W_m[2]) - z_m) < OTHER_LEVEL_M for z_m in heights_m))
+        kept = tuple(
+            a
+            for a in actors
+            if any(abs(float(a.p_W_m[2]) - z_m) < OTHER_LEVEL_M for z_m in heights_m)
+        )
         return actors if len(kept) == len(actors) else kept
 
 

@@ -1,11 +1,12 @@
-"""How SUMO's actors become bodies, and the guard that checks it: the pose of tick n, and the velocity to n + 1.
+"""How SUMO's actors become bodies, and the guard that checks it.
 
-A mass-0 body with a velocity is integrated through the substeps by the engine itself; without one, a car that hits a
-chair sinks half a metre into it before it is noticed.
+The pose of tick n, and the velocity to n + 1. A mass-0 body with a velocity is integrated through
+the substeps by the engine itself; without one, a car that hits a chair sinks half a metre into it
+before it is noticed.
 
-`MirrorCheck` compares PyBullet's bodies after every tick with where SUMO (and the deflection) put the actors. It fails
-loudly: a body that froze, a ghost that stayed, an update that was skipped would otherwise teach a network that the
-street is not what it sees.
+`MirrorCheck` compares PyBullet's bodies after every tick with where SUMO (and the deflection) put
+the actors. It fails loudly: a body that froze, a ghost that stayed, an update that was skipped
+would otherwise teach a network that the street is not what it sees.
 """
 
 import math
@@ -22,12 +23,18 @@ from wcsim.types import F64, ActorKind, ActorState, Ground, Relief
 from wcsim.types.street import FLAT
 
 BRIDGE_M = 2.0  # who is this much above the land is on a bridge
-JUMP_M = 0.5  # SUMO moved the actor so much further than its speed does: teleported, put into another lane, or put off
-BODY_REACH_M = 10.0  # who ends a tick so near a chair, from its rim on, has a body; others are only seen
+# SUMO moved the actor so much further than its speed does: teleported, put into another lane, or
+# put off.
+JUMP_M = 0.5
+BODY_REACH_M = (
+    10.0  # who ends a tick so near a chair, from its rim on, has a body; others are only seen
+)
 REACH_TICK_S = 0.1  # the longest tick for which that is enough
 _SPARE_MPS = 5.0  # of a longer one: a chair drives too, and who brakes was faster than at its end
 SLIP_MPS = 0.02  # a smaller difference between SUMO's speed and the way somebody went is none
-_SNAP_RAD = 0.5  # SUMO turns some on the spot, from one lane's direction to the next; nothing with a length sweeps so
+# SUMO turns some on the spot, from one lane's direction to the next; nothing with a length sweeps
+# so.
+_SNAP_RAD = 0.5
 
 
 def on_ground(actors: tuple[ActorState, ...], grid: Ground) -> tuple[ActorState, ...]:
@@ -46,30 +53,44 @@ def on_ground(actors: tuple[ActorState, ...], grid: Ground) -> tuple[ActorState,
     high = here_W_m[:, 2] - relief.at(here_W_m) > BRIDGE_M
     z_W_m = np.where(high, here_W_m[:, 2], grid.height_at(here_W_m))
     there_W_m = np.column_stack([here_W_m[:, :2], z_W_m])
-    return tuple(replace(actor, p_W_m=p_W_m) for actor, p_W_m in zip(actors, there_W_m, strict=True))
+    return tuple(
+        replace(actor, p_W_m=p_W_m) for actor, p_W_m in zip(actors, there_W_m, strict=True)
+    )
 
 
 def _put(actor: ActorState, grid: Ground) -> ActorState:
-    """The actor on level ground; nothing new is made for who stands at the right height, as on every road."""
+    """The actor on level ground.
+
+    Nothing new is made for who stands at the right height, as on every road.
+    """
     x, y, z = actor.p_W_m.tolist()
     height_m = grid.height_here(x, y)
     return actor if height_m == z else replace(actor, p_W_m=np.array((x, y, height_m)))
 
 
 def _leaning(actors: tuple[ActorState, ...], relief: Relief) -> tuple[ActorState, ...]:
-    """The same actors, nose up or down with the land from their rear to their front; people stand upright."""
-    half_W_m = np.array([0.5 * a.size_lwh_m[0] * frames.forward_vector(a.yaw_rad, 0.0) for a in actors])
+    """The same actors, nose up or down with the land from their rear to their front.
+
+    People stand upright.
+    """
+    half_W_m = np.array(
+        [0.5 * a.size_lwh_m[0] * frames.forward_vector(a.yaw_rad, 0.0) for a in actors]
+    )
     here_W_m = np.array([actor.p_W_m for actor in actors])
     rise_m = relief.at(here_W_m + half_W_m) - relief.at(here_W_m - half_W_m)
     pitch_rad = np.arctan2(rise_m, 2.0 * np.hypot(half_W_m[:, 0], half_W_m[:, 1]))
     keeps = here_W_m[:, 2] - relief.at(here_W_m) > BRIDGE_M
     return tuple(
-        actor if keep or actor.kind is ActorKind.PEDESTRIAN else replace(actor, pitch_rad=float(pitch))
+        actor
+        if keep or actor.kind is ActorKind.PEDESTRIAN
+        else replace(actor, pitch_rad=float(pitch))
         for actor, keep, pitch in zip(actors, keeps, pitch_rad, strict=True)
     )
 
 
-def walked(before: Mapping[str, ActorState], after: tuple[ActorState, ...], dt_s: float) -> tuple[ActorState, ...]:
+def walked(
+    before: Mapping[str, ActorState], after: tuple[ActorState, ...], dt_s: float
+) -> tuple[ActorState, ...]:
     """The same actors; people have the velocity that led them here, wherever SUMO's speed is not it.
 
     SUMO's is that along the way: it knows nothing of a step aside or back, its own from stripe to stripe included. Who
@@ -87,11 +108,14 @@ def _walked(old: ActorState | None, new: ActorState, dt_s: float) -> ActorState:
     return replace(new, v_W_mps=v_W_mps) if SLIP_MPS < off_mps <= JUMP_M / dt_s else new
 
 
-def in_reach(actors: tuple[ActorState, ...], places_W_m: F64, dt_s: float) -> tuple[ActorState, ...]:
-    """Those that may come to touch a chair at one of the places (n, 2) within a tick of `dt_s`: they need a body.
+def in_reach(
+    actors: tuple[ActorState, ...], places_W_m: F64, dt_s: float
+) -> tuple[ActorState, ...]:
+    """Those that may come to touch a chair at one of the places (n, 2) within a tick of `dt_s`.
 
-    A car of 30 m/s and a chair of 3 m/s come nearer by 3.3 m in a tick of 0.1 s; what it drives in the rest of a
-    longer one is added, so that it has a body also where it ends that tick far behind the chair.
+    They need a body. A car of 30 m/s and a chair of 3 m/s come nearer by 3.3 m in a tick of 0.1 s;
+    what it drives in the rest of a longer one is added, so that it has a body also where it ends
+    that tick far behind the chair.
     """
     places, more_s = places_W_m.tolist(), max(0.0, dt_s - REACH_TICK_S)
     found = []
@@ -101,16 +125,20 @@ def in_reach(actors: tuple[ActorState, ...], places_W_m: F64, dt_s: float) -> tu
         if more_s:
             near_m += more_s * (math.hypot(*actor.v_W_mps.tolist()) + _SPARE_MPS)
         # A square, not a circle: it is cheaper, and a body too many does no harm.
-        if any([abs(x - px) < near_m and abs(y - py) < near_m for px, py in places]):  # a generator costs more
+        if any(
+            [abs(x - px) < near_m and abs(y - py) < near_m for px, py in places]
+        ):  # a generator costs more
             found.append(actor)
     return tuple(found)
 
 
-def moves(before: Mapping[str, ActorState], after: tuple[ActorState, ...], dt_s: float) -> tuple[BodyMove, ...]:
+def moves(
+    before: Mapping[str, ActorState], after: tuple[ActorState, ...], dt_s: float
+) -> tuple[BodyMove, ...]:
     """What the bodies do during a tick that leads from `before` to `after`.
 
-    An actor that has just come near starts where its present speed says it came from; one that jumped stands where it
-    landed.
+    An actor that has just come near starts where its present speed says it came from; one that
+    jumped stands where it landed.
     """
     return tuple(_move(before.get(actor.id), actor, dt_s) for actor in after)
 
@@ -124,7 +152,9 @@ def _move(old: ActorState | None, new: ActorState, dt_s: float) -> BodyMove:
     if math.hypot(*v_W_mps.tolist()) > speed_mps + JUMP_M / dt_s:
         return BodyMove(actor=new, v_W_mps=np.zeros(3), yaw_rate_radps=0.0)
     # A person's body is round; turning it would only bend the way that the velocity leads.
-    turned_rad = 0.0 if new.kind is ActorKind.PEDESTRIAN else frames.wrap_angle(new.yaw_rad - start.yaw_rad)
+    turned_rad = (
+        0.0 if new.kind is ActorKind.PEDESTRIAN else frames.wrap_angle(new.yaw_rad - start.yaw_rad)
+    )
     # Turned at once, as SUMO did it: with a turn rate its ends would sweep through a chair.
     if abs(turned_rad) > _SNAP_RAD:
         start, turned_rad = replace(start, yaw_rad=new.yaw_rad), 0.0
@@ -135,8 +165,12 @@ def _move(old: ActorState | None, new: ActorState, dt_s: float) -> BodyMove:
 
 _TOLERANCE_M = 0.01
 _TOLERANCE_RAD = 0.02
-FURTHEST_M = MOST_M + _TOLERANCE_M  # that a vehicle is shown beside SUMO's place: as far as it may swing out
-EVERY = 4  # one body in four is measured each tick, in turn; the set of bodies is compared every tick
+FURTHEST_M = (
+    MOST_M + _TOLERANCE_M
+)  # that a vehicle is shown beside SUMO's place: as far as it may swing out
+EVERY = (
+    4  # one body in four is measured each tick, in turn; the set of bodies is compared every tick
+)
 
 
 class MirrorCheck:
@@ -151,18 +185,23 @@ class MirrorCheck:
         """Compare the bodies with the actors of now; call it once a tick, after the substeps.
 
         Raises:
-            PhysicsError: The pool was not updated since the last check, holds others than the actors, or a body is
-                further than 1 cm from its actor, or turned by more than 0.02 rad against it.
+            PhysicsError: The pool was not updated since the last check, holds others than the
+                actors, or a body is further than 1 cm from its actor, or turned by more than 0.02
+                rad against it.
         """
         if self._pool.placed == self._placed:
-            raise PhysicsError("the mirror was not updated in this tick; expected one update a tick: call pool.place()")
+            raise PhysicsError(
+                "the mirror was not updated in this tick; expected one update a tick: call pool.place()"
+            )
         self._placed = self._pool.placed
         # In turn, so that every body is measured within four ticks at a quarter of the cost.
         self._turn = (self._turn + 1) % EVERY
         _check_mirror(self._pool, actors, self._turn, EVERY)
 
 
-def _check_mirror(pool: BodyPool, actors: Sequence[ActorState], first: int = 0, every: int = 1) -> None:
+def _check_mirror(
+    pool: BodyPool, actors: Sequence[ActorState], first: int = 0, every: int = 1
+) -> None:
     """Compare the set of bodies with the actors, and the places of every `every`-th one from `first` on.
 
     Raises:
@@ -184,7 +223,10 @@ def _check_mirror(pool: BodyPool, actors: Sequence[ActorState], first: int = 0, 
         x, y, z, yaw_rad = pool.pose(actor.id)
         px, py, pz = actor.p_W_m.tolist()
         error_m = math.hypot(x - px, y - py, z - pz)
-        askew = actor.kind not in UPRIGHT and abs(frames.wrap_angle(yaw_rad - actor.yaw_rad)) > _TOLERANCE_RAD
+        askew = (
+            actor.kind not in UPRIGHT
+            and abs(frames.wrap_angle(yaw_rad - actor.yaw_rad)) > _TOLERANCE_RAD
+        )
         # Written so that a distance that is not a number fails, too.
         if askew or not error_m <= _TOLERANCE_M:
             raise PhysicsError(

@@ -33,19 +33,25 @@ from wcsim.users.recordings.recorded_user import find_user
 
 
 class _TownTraffic(ClosingContextBase):
-    """SUMO with a town's scenario, one tick after the other; what a world without seats does, without its street."""
+    """SUMO with a town's scenario, one tick after the other.
+
+    What a world without seats does, without its street.
+    """
 
     def __init__(self, town: Town, config: RunConfig, seed: int, place: RunPlace) -> None:
         """Start SUMO and let the traffic warm up.
 
-        Raises TownError for a scenario that cannot be run, WorldInUseError while a world lives in this process.
+        Raises TownError for a scenario that cannot be run, WorldInUseError while a world lives in
+        this process.
         """
         refuse_second_world()
         validate_net(town.net, border=town.border)
         self.net_z_m = read_net(town.net, town.file.origin_m).z_origin_m
         self._held = ExitStack()
         try:
-            self.scenario, self.sumo = open_session(town, config, seed, place, self.net_z_m, self._held)
+            self.scenario, self.sumo = open_session(
+                town, config, seed, place, self.net_z_m, self._held
+            )
             warm_up(self.sumo, warmup_s(town, config), config.world.tick_s)
         except BaseException:
             self.close()
@@ -53,7 +59,10 @@ class _TownTraffic(ClosingContextBase):
         self.snapshot = self._published(0)
 
     def steps(self) -> Iterator[RolloutStep]:
-        """Carry the traffic on, as `rollout` does a world; no actors are in it, for there is no chair to be near to."""
+        """Carry the traffic on, as `rollout` does a world.
+
+        No actors are in it, for there is no chair to be near to.
+        """
         for tick in count(1):
             self.sumo.step()
             self.snapshot = self._published(tick)
@@ -64,12 +73,18 @@ class _TownTraffic(ClosingContextBase):
         self._held.close()
 
     def _published(self, tick: int) -> Snapshot:
-        bare = Snapshot(epoch=0, tick=tick, time_s=self.sumo.time_s(), actors=(), signals=(), clients=())
+        bare = Snapshot(
+            epoch=0, tick=tick, time_s=self.sumo.time_s(), actors=(), signals=(), clients=()
+        )
         return replace(bare, state_hash=bare.digest())
 
 
-_BORDER_M = 3.0  # a chair drives on, and actors near the edge of its surroundings come or go, within a tick
-GRID_M = 2.0**-13  # a recorded town is rounded to an eighth of a millimetre, which packs five times as tight
+_BORDER_M = (
+    3.0  # a chair drives on, and actors near the edge of its surroundings come or go, within a tick
+)
+GRID_M = (
+    2.0**-13
+)  # a recorded town is rounded to an eighth of a millimetre, which packs five times as tight
 Progress = Callable[[int, int], None]  # (ticks done, all ticks)
 Stage = Callable[[str], None]  # what begins now, in words
 
@@ -111,7 +126,9 @@ class TrafficFacts:
     mirrored_most: int  # at once
     teleports: int  # since the scenario began
     teleports_warming: int  # of these while the traffic warmed up, before the first tick
-    collisions: int  # that SUMO saw among its own since the scenario began, each once however long it lasts
+    collisions: (
+        int  # that SUMO saw among its own since the scenario began, each once however long it lasts
+    )
     collisions_warming: int  # of these while the traffic warmed up
     episodes: int
     crashes: int  # of wheelchairs
@@ -162,11 +179,17 @@ def record_town(
             world = held.enter_context(_TownTraffic(town, config, order.seed, place))
             steps, net_z_m = world.steps(), world.net_z_m
         opened(world.scenario)
-        writer = held.enter_context(LogWriter(order.folder / TRACE, _header(town, config, order, net_z_m)))
+        writer = held.enter_context(
+            LogWriter(order.folder / TRACE, _header(town, config, order, net_z_m))
+        )
         meter = _Meter(world, town, config)
         for done, step in enumerate(islice(steps, ticks), start=1):
             everyone = world.sumo.everyone()
-            writer.append(world_state_from_snapshot(step.after, step.commands, as_recorded(step.after, everyone)))
+            writer.append(
+                world_state_from_snapshot(
+                    step.after, step.commands, as_recorded(step.after, everyone)
+                )
+            )
             meter.add(step.after, everyone)
             progress(done, ticks)
         facts = meter.facts(ticks, order.chairs)
@@ -195,8 +218,9 @@ def chair_box_m(chair: ChairConfig) -> tuple[float, float]:
 
 
 def as_recorded(snapshot: Snapshot, everyone: Sequence[ActorState]) -> list[ActorState]:
-    """Everybody in town: near a wheelchair as they are shown to it, in all their pieces, elsewhere as SUMO has them.
+    """Everybody in town.
 
+    Near a wheelchair as they are shown to it, in all their pieces, elsewhere as SUMO has them.
     Places and speeds are rounded.
     """
     shown: dict[str, list[ActorState]] = {}
@@ -216,7 +240,9 @@ def _check_mirrored(
     shown = {actor.id for actor in mirrored if not actor.piece}
     there = {actor.id for actor in everyone}
     near = {
-        actor.id for actor in everyone if _gap_m(actor, chairs_W_m) + 0.5 * actor.size_lwh_m[0] < radius_m - _BORDER_M
+        actor.id
+        for actor in everyone
+        if _gap_m(actor, chairs_W_m) + 0.5 * actor.size_lwh_m[0] < radius_m - _BORDER_M
     }
     ghosts, missing = sorted(shown - there), sorted(near - shown)
     if ghosts or missing:
@@ -262,7 +288,9 @@ class _Meter:
         self._mirrored.update(mirrored)
         self._most = max(self._most, len(mirrored))
         self._ended += ended
-        self._crashed += [self._crash(client, after.time_s) for client in clients if client.events.crashed]
+        self._crashed += [
+            self._crash(client, after.time_s) for client in clients if client.events.crashed
+        ]
 
     def _crash(self, client: ClientSnapshot, time_s: float) -> CrashFact:
         x_m, y_m = (client.plant.p_WB_m[:2] + self._origin_m).tolist()

@@ -1,7 +1,8 @@
-"""What simulated users do with a wheelchair: they drive it alone and are recorded, or shadow a recorded person.
+"""What simulated users do with a wheelchair.
 
-To know what a person wanted, the drive is made again, and somebody of the model sits beside the person: on the same
-route, knowing of the same things, with the person's delay. What it would want is taken for what the person wanted.
+They drive it alone and are recorded, or shadow a recorded person. To know what a person wanted, the
+drive is made again, and somebody of the model sits beside the person: on the same route, knowing of
+the same things, with the person's delay. What it would want is taken for what the person wanted.
 """
 
 from collections.abc import Callable
@@ -19,7 +20,15 @@ from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.log.drive import DriveRecording, read_wcsim_version
 from wcsim.log.fingerprint import make_software_fingerprint
-from wcsim.log.records import DriveHeader, DriveTick, EpochBegun, Header, Input, end_fields_from_snapshot, with_fields
+from wcsim.log.records import (
+    DriveHeader,
+    DriveTick,
+    EpochBegun,
+    Header,
+    Input,
+    end_fields_from_snapshot,
+    with_fields,
+)
 from wcsim.log.writer import LogWriter
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town, content_hash
@@ -72,12 +81,17 @@ def with_shadow(seen: _SeenDrive, user: UserProfile) -> DriveRecording:
         shadow.look(view)
         wishes.append(shadow.intent)
         before = (tick.episode, view.route)
-    ticks = tuple(with_fields(tick, intent=wish) for tick, wish in zip(seen.drive.ticks, wishes, strict=True))
+    ticks = tuple(
+        with_fields(tick, intent=wish) for tick, wish in zip(seen.drive.ticks, wishes, strict=True)
+    )
     return replace(seen.drive, records=_persons(seen.drive, ticks))
 
 
 def _persons(drive: DriveRecording, ticks: tuple[DriveTick, ...]) -> tuple[DriveTick, ...]:
-    """The ticks that the person drove, each stretch an episode: at times the simulated user beside may have."""
+    """The ticks that the person drove, each stretch an episode.
+
+    At times the simulated user beside may have.
+    """
     if drive.about.profile:
         return ticks
     kept, episode, before = list[DriveTick](), -1, (-1, False)
@@ -143,7 +157,10 @@ def record_user(
     crashes = 0
     spec = SeatSpec(profile=profile_to_json(user), max_steps=ENDLESS)
     header = drive_header(town, config, seed, profile=user.name, policy=FOLLOW)
-    with LogWriter(out, header) as recorder, World(town, config, (spec,), seed, find_user=find_user) as world:
+    with (
+        LogWriter(out, header) as recorder,
+        World(town, config, (spec,), seed, find_user=find_user) as world,
+    ):
         for record in first_inputs(spec, seed):
             recorder.append(record)
         world.go_blind()

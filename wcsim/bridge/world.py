@@ -20,7 +20,13 @@ from wcsim.bridge.epoch import Epoch
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.sumo.actors import moved
 from wcsim.bridge.sumo.run_place import RunPlace
-from wcsim.bridge.sumo.session import open_session, refuse_second_world, sumo_seed, warm_up, warmup_s
+from wcsim.bridge.sumo.session import (
+    open_session,
+    refuse_second_world,
+    sumo_seed,
+    warm_up,
+    warmup_s,
+)
 from wcsim.config import RunConfig
 from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import ProtocolError
@@ -32,7 +38,17 @@ from wcsim.physics.sensors.camera import CameraRig
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
-from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, Snapshot, StartSpec, TileKey, UserView
+from wcsim.types import (
+    F64,
+    ActorState,
+    ClientSnapshot,
+    Command,
+    SeatSpec,
+    Snapshot,
+    StartSpec,
+    TileKey,
+    UserView,
+)
 from wcsim.types.street import StreetTiles, join_meshes
 from wcsim.users.profiles import find_profile
 from wcsim.users.user import FindUser
@@ -40,7 +56,8 @@ from wcsim.users.user import FindUser
 ENGINE_REACH_M = 10.0  # the street so far around a chair is in the engine
 SIGHT_MORE_M = 30.0  # and so far beyond its cameras' range in sight
 TILE_KEEP_M = 100.0  # and so much more of it is taken along whenever the pictures need another part
-MOST_TILES = 64  # in the engine: a body costs a step 0.05 us wherever it is, so these cost a tenth of a chair
+# In the engine: a body costs a step 0.05 us wherever it is, so these cost a tenth of a chair.
+MOST_TILES = 64
 ENGINE_KEEP_M = 250.0  # but what is so near a chair stays
 _MOVED_M = 1.0  # who has moved less since tiles were looked for needs no others
 
@@ -52,19 +69,27 @@ class _TileLoader:
         """Nothing is loaded yet; cameras see `range_m` far."""
         self._tiles, self._rig = tiles, rig
         self._sight_m = range_m + SIGHT_MORE_M
-        self._looked: tuple[StreetBodies, F64] | None = None  # for which engine and from where, the last time
+        self._looked: tuple[StreetBodies, F64] | None = (
+            None  # for which engine and from where, the last time
+        )
         self._drawn: dict[TileKey, GeometryStore] = {}
 
     def load(self, places_W_m: F64, laid: StreetBodies, stopwatch: Stopwatch) -> None:
         """Have the street around these places (n, 2) there; `laid` are the tiles in the engine.
 
-        Which tiles are there depends on where the chairs were, and on nothing else. What there is to do is measured as
-        "street".
+        Which tiles are there depends on where the chairs were, and on nothing else. What there is
+        to do is measured as "street".
         """
-        if self._looked is not None and self._looked[0] is laid and not moved(places_W_m, self._looked[1], _MOVED_M):
+        if (
+            self._looked is not None
+            and self._looked[0] is laid
+            and not moved(places_W_m, self._looked[1], _MOVED_M)
+        ):
             return
         self._looked = laid, places_W_m
-        under = [key for key in self._tiles.near(places_W_m, ENGINE_REACH_M) if key not in laid.keys]
+        under = [
+            key for key in self._tiles.near(places_W_m, ENGINE_REACH_M) if key not in laid.keys
+        ]
         drawn = self._drawn.keys() >= set(self._tiles.near(places_W_m, self._sight_m))
         if drawn and not under:
             return
@@ -73,17 +98,24 @@ class _TileLoader:
                 laid.lay(key, partial(self._tiles.mesh, key))
             if len(laid.keys) > MOST_TILES:
                 # Sorted: the ids of bodies must not depend on the order of a set.
-                for key in sorted(laid.keys.difference(self._tiles.near(places_W_m, ENGINE_KEEP_M))):
+                for key in sorted(
+                    laid.keys.difference(self._tiles.near(places_W_m, ENGINE_KEEP_M))
+                ):
                     laid.lift(key)
             if not drawn:
                 keys, old = self._tiles.near(places_W_m, self._sight_m + TILE_KEEP_M), self._drawn
                 # Stores are kept: making one takes many times as long as joining them.
-                self._drawn = {key: old.get(key) or GeometryStore(self._tiles.mesh(key)) for key in keys}
+                self._drawn = {
+                    key: old.get(key) or GeometryStore(self._tiles.mesh(key)) for key in keys
+                }
                 self._rig.show(GeometryStore.joined(list(self._drawn.values())))
 
 
 class World(ClosingContextBase):
-    """A town with traffic and wheelchairs that come and go between ticks; images go into `out` where it is given."""
+    """A town with traffic and wheelchairs that come and go between ticks.
+
+    Images go into `out` where it is given.
+    """
 
     def __init__(
         self,
@@ -99,11 +131,11 @@ class World(ClosingContextBase):
     ) -> None:
         """Load the town and warm its traffic up.
 
-        There is a seat for each of `specs`, free where it is None; `place` says where the outputs of the SUMO scenario
-        go, `epoch` is the number of the first epoch, `say` hears how far the street is, as `load_street` tells,
-        `find_user` takes the names of users, those of profiles where it is not given. Raises TownError for a net that
-        cannot be used, ConfigError for a camera inside the chair's body, WorldInUseError while another world lives in
-        this process.
+        There is a seat for each of `specs`, free where it is None; `place` says where the outputs
+        of the SUMO scenario go, `epoch` is the number of the first epoch, `say` hears how far the
+        street is, as `load_street` tells, `find_user` takes the names of users, those of profiles
+        where it is not given. Raises TownError for a net that cannot be used, ConfigError for a
+        camera inside the chair's body, WorldInUseError while another world lives in this process.
         """
         refuse_second_world()
         validate_net(town.net, border=town.border)
@@ -119,12 +151,20 @@ class World(ClosingContextBase):
         self._blind = False
         self._held = ExitStack()
         try:
-            seats, heads, threads = max(1, len(specs)), self.street.signal_heads, config.world.draw_threads
-            rig = CameraRig(join_meshes(()), config.cameras, seats, heads, threads, config.world.tick_s)
+            seats, heads, threads = (
+                max(1, len(specs)),
+                self.street.signal_heads,
+                config.world.draw_threads,
+            )
+            rig = CameraRig(
+                join_meshes(()), config.cameras, seats, heads, threads, config.world.tick_s
+            )
             self._rig = self._held.enter_context(rig)
             range_m = max(camera.range_m for camera in config.cameras)
             self._loader = _TileLoader(self.street.tiles, rig, range_m)
-            self.scenario, self.sumo = open_session(town, config, seed, place, self.street.net_origin_m[2], self._held)
+            self.scenario, self.sumo = open_session(
+                town, config, seed, place, self.street.net_origin_m[2], self._held
+            )
             self.snapshot = self._begin(seed)
         except BaseException:
             self.close()
@@ -149,18 +189,23 @@ class World(ClosingContextBase):
         self.snapshot = self._begin(seed, out)
         return self.snapshot
 
-    def respawn(self, seat: int, out: ImageSink | None = None, start: StartSpec | None = None) -> ClientSnapshot:
-        """Put one seat's chair at the start of its next episode, now; costs no tick and stops nobody.
+    def respawn(
+        self, seat: int, out: ImageSink | None = None, start: StartSpec | None = None
+    ) -> ClientSnapshot:
+        """Put one seat's chair at the start of its next episode, now.
 
-        The start is the seat's own, or `start` for this episode. Raises ProtocolError when the seat is free or not
-        there, ConfigError for a start that cannot be.
+        Costs no tick and stops nobody. The start is the seat's own, or `start` for this episode.
+        Raises ProtocolError when the seat is free or not there, ConfigError for a start that cannot
+        be.
         """
         asked = self._seating.at(seat)
         asked.begin_next_at(start)
         return self._joined(asked, out)
 
     def start_facing(self, seat: int, places_W_m: Sequence[XY], goal_W_m: XY) -> StartSpec | None:
-        """The first of these places that is clear, as a start that faces its way to the goal; None where none is.
+        """The first of these places that is clear, as a start that faces its way to the goal.
+
+        None where none is.
 
         Raises ProtocolError when the seat is free or not there.
         """
@@ -169,9 +214,12 @@ class World(ClosingContextBase):
         return next((start for start in starts if start is not None), None)
 
     def admit(self, seat: int, spec: SeatSpec, out: ImageSink | None = None) -> ClientSnapshot:
-        """Put a new chair into the street for a free seat, now; its episodes go on from those the seat has had.
+        """Put a new chair into the street for a free seat, now.
 
-        Raises ProtocolError when the seat is taken or not there, and what refuses the spec; then nothing has changed.
+        Its episodes go on from those the seat has had.
+
+        Raises ProtocolError when the seat is taken or not there, and what refuses the spec; then
+        nothing has changed.
         """
         new = self._seating.admit(self._open.engine, self._rig, seat, spec)
         traffic = self._open.traffic
@@ -184,14 +232,20 @@ class World(ClosingContextBase):
             raise
 
     def dismiss(self, seat: int) -> None:
-        """Take a seat's chair out of the street, now. Raises ProtocolError when the seat is free or not there."""
+        """Take a seat's chair out of the street, now.
+
+        Raises ProtocolError when the seat is free or not there.
+        """
         self._seating.dismiss(seat)
         self._rig.reset(seat)  # its last images may be in somebody's buffers
         self._open.traffic.look_again(self._places())
         self.snapshot = self._published(tuple(c for c in self.snapshot.clients if c.seat != seat))
 
     def put_chair(self, seat: int, xy_W_m: F64, yaw_rad: float) -> None:
-        """Put one seat's chair on the ground of another place, now and at rest; its episode goes on."""
+        """Put one seat's chair on the ground of another place, now and at rest.
+
+        Its episode goes on.
+        """
         p_W_m = np.array([*xy_W_m[:2], float(self.street.grid.height_at(xy_W_m))])
         moved, places_W_m = self._seating.at(seat), self._places()
         places_W_m[self.seats.index(moved)] = p_W_m[:2]
@@ -209,7 +263,10 @@ class World(ClosingContextBase):
         return asked.in_danger(self._others(asked))
 
     def view_of(self, seat: int) -> UserView:
-        """What the user of a seat may know of the street now. Raises ProtocolError when it is free or not there."""
+        """What the user of a seat may know of the street now.
+
+        Raises ProtocolError when it is free or not there.
+        """
         asked = self._seating.at(seat)
         return asked.view(self.sumo.time_s(), self._others(asked), self._open.traffic.signals)
 
@@ -223,7 +280,10 @@ class World(ClosingContextBase):
     # --- the five lines ---
 
     def _react(self, commands: Sequence[Command]) -> None:
-        """The street sees the chairs of tick n: drivers brake or pass, people stop, lights hear their buttons."""
+        """The street sees the chairs of tick n.
+
+        Drivers brake or pass, people stop, lights hear their buttons.
+        """
         self._check(commands)
         with self.stopwatch.measure("react"):
             self._open.traffic.react(tuple(seat.in_street() for seat in self.seats))
@@ -243,11 +303,16 @@ class World(ClosingContextBase):
             traffic.move(near, places_W_m)
             self._bodied = mirror.in_reach(traffic.actors, places_W_m, self.config.world.tick_s)
             self._choose_step()
-            self._open.bodies.place(mirror.moves(traffic.before, self._bodied, self.config.world.tick_s))
+            self._open.bodies.place(
+                mirror.moves(traffic.before, self._bodied, self.config.world.tick_s)
+            )
         self._load_tiles(places_W_m)
 
     def go_blind(self) -> None:
-        """Draw no pictures from now on, and say no truth: for who asks how a street goes on, where only users drive."""
+        """Draw no pictures from now on, and say no truth.
+
+        For who asks how a street goes on, where only users drive.
+        """
         self._blind = True
         self._rig.freeze_pictures()
 
@@ -262,7 +327,8 @@ class World(ClosingContextBase):
         with self.stopwatch.measure("physics"):
             for seat, command in zip(self.seats, commands, strict=True):
                 seat.command(command.joystick)
-            # All chairs before each step and all after it: none is driven by what another one did in the same step.
+            # All chairs before each step and all after it: none is driven by what another one did
+            # in the same step.
             for _ in range(round(self.config.world.tick_s / engine.step_s)):
                 for seat in self.seats:
                     seat.chair.before_step()
@@ -316,7 +382,9 @@ class World(ClosingContextBase):
         """Refuse commands for another tick before anything has moved. Raises ProtocolError."""
         got = [(c.seat, c.tick) for c in commands]
         if got != [(seat.index, self._tick) for seat in self.seats]:
-            raise ProtocolError(f"commands (seat, tick) {got} do not fit tick {self._tick}; expected one a seat")
+            raise ProtocolError(
+                f"commands (seat, tick) {got} do not fit tick {self._tick}; expected one a seat"
+            )
 
     def _check_mirror(self) -> None:
         """Raises PhysicsError when the bodies are not where the actors are."""
@@ -330,8 +398,13 @@ class World(ClosingContextBase):
         self.snapshot = self._published(tuple(sorted((*others, client), key=lambda c: c.seat)))
         return client
 
-    def _open_episodes(self, seats: Sequence[Ego], out: ImageSink | None) -> tuple[ClientSnapshot, ...]:
-        """Begin the next episode of these seats: all stand, once the street is there, before any looks around."""
+    def _open_episodes(
+        self, seats: Sequence[Ego], out: ImageSink | None
+    ) -> tuple[ClientSnapshot, ...]:
+        """Begin the next episode of these seats.
+
+        All stand, once the street is there, before any looks around.
+        """
         for seat in seats:
             seat.spawn(self._taken, self._open.attention)
             if seat.fitting is not None:
@@ -361,9 +434,16 @@ class World(ClosingContextBase):
                 self._look_around(seat)
 
     def _shoot(
-        self, seats: Sequence[Ego], out: ImageSink | None, first: bool, meanwhile: Callable[[], object] | None = None
+        self,
+        seats: Sequence[Ego],
+        out: ImageSink | None,
+        first: bool,
+        meanwhile: Callable[[], object] | None = None,
     ) -> dict[int, Surroundings]:
-        """Take the pictures of all these seats together, and do something else meanwhile; what each sees, by seat."""
+        """Take the pictures of all these seats together, and do something else meanwhile.
+
+        What each sees, by seat.
+        """
         if not seats:
             return {}
         traffic = self._open.traffic
@@ -373,8 +453,12 @@ class World(ClosingContextBase):
             scenes = {}
             for seat in seats:
                 buffers = None if out is None else out.buffers(seat.index, first)
-                scenes[seat.index] = seat.surroundings(self._tick, traffic.actors, poses, traffic.signals, buffers)
-            self._rig.shoot_all({seat: scene for seat, scene in scenes.items() if scene.drawn}, meanwhile)
+                scenes[seat.index] = seat.surroundings(
+                    self._tick, traffic.actors, poses, traffic.signals, buffers
+                )
+            self._rig.shoot_all(
+                {seat: scene for seat, scene in scenes.items() if scene.drawn}, meanwhile
+            )
         return scenes
 
     def _seen(self, seat: Ego, scene: Surroundings, first: bool) -> ClientSnapshot:
@@ -398,7 +482,9 @@ class World(ClosingContextBase):
 
     def _others(self, seat: Ego) -> tuple[ActorState, ...]:
         """Everything that moves around a seat, the other wheelchairs among it."""
-        return self._open.traffic.actors + tuple([other.as_actor() for other in self.seats if other is not seat])
+        return self._open.traffic.actors + tuple(
+            [other.as_actor() for other in self.seats if other is not seat]
+        )
 
     def _taken(self, xy_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
         """What stands or moves near a place where somebody wants to start."""

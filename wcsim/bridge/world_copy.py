@@ -1,6 +1,7 @@
-"""A copy of the world (`os.fork`), where it stands, that says how the street would go on; it never comes back.
+"""A copy of the world (`os.fork`), where it stands, that says how the street would go on.
 
-That is the same as a replay to this tick, at the price of the ticks after it alone.
+It never comes back. That is the same as a replay to this tick, at the price of the ticks after it
+alone.
 """
 
 import os

@@ -1,4 +1,7 @@
-"""The one loop over a world: the drivers of all seats are asked, then the world goes on by a tick."""
+"""The one loop over a world.
+
+The drivers of all seats are asked, then the world goes on by a tick.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -9,7 +12,10 @@ from wcsim.bridge.world import World
 from wcsim.types import ClientSnapshot, Command, Joystick, Snapshot
 
 Driver = Callable[[ClientSnapshot], Joystick | None]
-"""Answers for one seat: its stick for the frame of now; None once it has taken its chair out of the street."""
+"""Answers for one seat: its stick for the frame of now.
+
+None once it has taken its chair out of the street.
+"""
 _USERS: Final[Mapping[int, Driver]] = MappingProxyType({})
 
 
@@ -24,12 +30,13 @@ class RolloutStep:
 def rollout(world: World, drivers: Mapping[int, Driver] = _USERS) -> Iterator[RolloutStep]:
     """Carry a world on, a tick for each step that is asked for, without end.
 
-    Whoever looks on does so between two steps. The world may be changed there: seats come, go and begin again.
+    Whoever looks on does so between two steps. The world may be changed there: seats come, go and
+    begin again.
 
     Args:
         world: What is driven.
-        drivers: By seat; for all others their users drive. They are asked in the order of the seats, a new episode
-            with its first frame.
+        drivers: By seat; for all others their users drive. They are asked in the order of the
+            seats, a new episode with its first frame.
 
     Raises:
         SumoError, PhysicsError: The world is broken.

@@ -1,8 +1,10 @@
 """Measures a scene while it runs: how the chairs moved, over what, and among whom.
 
-What a scene's chairs drive over: how narrow the pavement was, and what the light showed as they began to cross.
+What a scene's chairs drive over: how narrow the pavement was, and what the light showed as they
+began to cross.
 
-What the others do around the chairs of a scene: how near they come, who overtakes, who gives way and drives on.
+What the others do around the chairs of a scene: how near they come, who overtakes, who gives way
+and drives on.
 """
 
 import math
@@ -51,7 +53,9 @@ class _OthersMeter:
 
     def __init__(self, outline: Outline) -> None:
         self._outline = outline
-        self.closest_m: dict[Group, float] = dict.fromkeys(("vehicle", "rider", "person", "chair"), ALONE_M)
+        self.closest_m: dict[Group, float] = dict.fromkeys(
+            ("vehicle", "rider", "person", "chair"), ALONE_M
+        )
         self.seen: set[str] = set()
         self.overtook: set[tuple[int, str]] = set()  # by seat and actor
         self.gave_way: set[str] = set()
@@ -81,7 +85,10 @@ class _OthersMeter:
         x, y, cos, sin, _, _ = box
         dx, dy = float(actor.p_W_m[0]) - x, float(actor.p_W_m[1]) - y
         along_m, aside_m = dx * cos + dy * sin, dy * cos - dx * sin
-        if abs(aside_m) > BESIDE_M or cos * math.cos(actor.yaw_rad) + sin * math.sin(actor.yaw_rad) < _ALIGNED:
+        if (
+            abs(aside_m) > BESIDE_M
+            or cos * math.cos(actor.yaw_rad) + sin * math.sin(actor.yaw_rad) < _ALIGNED
+        ):
             return
         if along_m < -BEHIND_M:
             self._behind.add((seat, actor.id))
@@ -118,7 +125,14 @@ def _box_gap_m(a: Box, b: Box) -> float:
     """
     if boxes_touch(*a, *b):
         return 0.0
-    return max(0.0, min(gap_to_box(*corner, *other) for one, other in ((a, b), (b, a)) for corner in _corners(one)))
+    return max(
+        0.0,
+        min(
+            gap_to_box(*corner, *other)
+            for one, other in ((a, b), (b, a))
+            for corner in _corners(one)
+        ),
+    )
 
 
 def _corners(box: Box) -> list[tuple[float, float]]:
@@ -148,9 +162,13 @@ class _WayMeter:
         self.narrowest_m = ALONE_M
         self.red_starts = self.green_starts = 0
         self._ground = ground
-        crossings = [edge for edge in walk.edges if edge.kind is WayKind.CROSSING and _length_m(edge) > 0.0]
+        crossings = [
+            edge for edge in walk.edges if edge.kind is WayKind.CROSSING and _length_m(edge) > 0.0
+        ]
         self._lights = [edge for edge in crossings if edge.tls_id]
-        self._on: list[set[str]] = [set() for _ in range(seats)]  # the crossings that each chair is on
+        self._on: list[set[str]] = [
+            set() for _ in range(seats)
+        ]  # the crossings that each chair is on
 
     def add(self, snapshot: Snapshot) -> None:
         """One tick."""
@@ -174,7 +192,10 @@ class _WayMeter:
 
 
 def _free_width_m(ground: Ground, here_W_m: F64, left_W: F64) -> float:
-    """How wide the free pavement is across a point (2,), along a unit vector; at most twice `LOOK_ASIDE_M`."""
+    """How wide the free pavement is across a point (2,), along a unit vector.
+
+    At most twice `LOOK_ASIDE_M`.
+    """
     width_m = 0.0
     for side in (1.0, -1.0):
         points = here_W_m + side * _OFFSETS_M[:, None] * left_W
@@ -196,14 +217,19 @@ def _length_m(edge: WalkEdge) -> float:
 
 
 STANDS_MPS = 0.05
-_SETTLED_S = 0.5  # a chair is put down a little above the ground; what it feels then is not of the scene
+_SETTLED_S = (
+    0.5  # a chair is put down a little above the ground; what it feels then is not of the scene
+)
 
 
 class SceneMeter:
     """Adds up what happens in a scene."""
 
     def __init__(self, first: Snapshot, scene: SceneFile, street: Street, outline: Outline) -> None:
-        self._chairs = [_ChairMeter(client, seat) for client, seat in zip(first.clients, scene.seats, strict=True)]
+        self._chairs = [
+            _ChairMeter(client, seat)
+            for client, seat in zip(first.clients, scene.seats, strict=True)
+        ]
         self._others = _OthersMeter(outline)
         self._way = _WayMeter(street.grid, street.walk, len(scene.seats), outline)
 
@@ -267,9 +293,13 @@ class _ChairMeter:
         self.roll_rad = max(self.roll_rad, abs(plant.roll_rad))
         self.pitch_rad = max(self.pitch_rad, abs(plant.pitch_rad))
         if self._time_s > _SETTLED_S:
-            self.jolt_mps2 = max(self.jolt_mps2, float(np.abs(client.sensors.imu.accel_peak_mps2).max()))
+            self.jolt_mps2 = max(
+                self.jolt_mps2, float(np.abs(client.sensors.imu.accel_peak_mps2).max())
+            )
         away_m = plant.p_WB_m[:2] - self._start_W_m[:2]
-        self.aside_m = max(self.aside_m, abs(float(self._ahead_W[0] * away_m[1] - self._ahead_W[1] * away_m[0])))
+        self.aside_m = max(
+            self.aside_m, abs(float(self._ahead_W[0] * away_m[1] - self._ahead_W[1] * away_m[0]))
+        )
 
 
 def _direction(yaw_rad: float, wanted: SceneSeat) -> F64:

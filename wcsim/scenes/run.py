@@ -42,7 +42,10 @@ _RUN_TIMEOUT_S = 240
 _BAD_SCENE = 2
 """Exit code of a scene's process that has printed what is wrong with the scene."""
 TRACE_EVERY = 10
-"""Ticks from one record of a golden trace to the next; its last tick has one, and a hash covers all ticks up to it."""
+"""Ticks from one record of a golden trace to the next.
+
+Its last tick has one, and a hash covers all ticks up to it.
+"""
 
 _SMALL_CAMERAS = (CameraConfig(width_px=16, height_px=12),)
 _FILM_CAMERA = CameraConfig(width_px=480, height_px=360, rgb=True)
@@ -55,7 +58,9 @@ def _run_scene(folder: Path, trace: Path) -> Facts:
     Raises TownError when the scene cannot be built or run.
     """
     with _open_scene(folder) as (world, scene), LogWriter(trace, _header(world, scene)) as writer:
-        meter = SceneMeter(world.snapshot, scene, world.street, plant_spec(world.config.chair).outline)
+        meter = SceneMeter(
+            world.snapshot, scene, world.street, plant_spec(world.config.chair).outline
+        )
         digest = hashlib.blake2b(digest_size=8)
         last = _ticks(world, scene)
         for step in play(world, scene):
@@ -64,13 +69,18 @@ def _run_scene(folder: Path, trace: Path) -> Facts:
             digest.update(snapshot.state_hash.encode())
             if snapshot.tick % TRACE_EVERY == 0 or snapshot.tick == last:
                 writer.append(
-                    with_fields(world_state_from_snapshot(snapshot, step.commands), state_hash=digest.hexdigest())
+                    with_fields(
+                        world_state_from_snapshot(snapshot, step.commands),
+                        state_hash=digest.hexdigest(),
+                    )
                 )
         return meter.facts()
 
 
 @contextmanager
-def _open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS) -> Iterator[tuple[World, SceneFile]]:
+def _open_scene(
+    folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS
+) -> Iterator[tuple[World, SceneFile]]:
     """The world of a scene before its first tick; tiny cameras, because a scene is about motion.
 
     Raises TownError when the scene cannot be built, or a seat starts where there is no street.
@@ -79,7 +89,13 @@ def _open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS
         try:
             town, scene = build_scene(folder, work)
             specs = seat_specs(folder, scene, town.file.origin_m)
-            world = World(town, scene_config(scene, RunConfig(cameras=cameras)), specs, scene.seed, find_user=find_user)
+            world = World(
+                town,
+                scene_config(scene, RunConfig(cameras=cameras)),
+                specs,
+                scene.seed,
+                find_user=find_user,
+            )
         except WcsimError as error:
             raise TownError(_without_work(str(error), folder)) from None
         with world:
@@ -88,7 +104,10 @@ def _open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS
 
 
 def play(world: World, scene: SceneFile) -> Iterator[RolloutStep]:
-    """Every tick of a scene. Who has arrived stays there, and who has crashed is not driven any more."""
+    """Every tick of a scene.
+
+    Who has arrived stays there, and who has crashed is not driven any more.
+    """
     done = set(_done(world.snapshot, scene))
 
     def drive(now: ClientSnapshot) -> Joystick:
@@ -105,13 +124,21 @@ def run_in_child(folder: Path, trace: Path) -> Facts:
     """The same as `_run_scene` in a process of its own, with the C library pinned, so that hashes are comparable."""
     command = [sys.executable, "-m", "wcsim.scenes.run", str(folder), str(trace)]
     try:
-        done = run_command(command, _RUN_TIMEOUT_S, env={**os.environ, "GLIBC_TUNABLES": _PINNED_LIBM})
+        done = run_command(
+            command, _RUN_TIMEOUT_S, env={**os.environ, "GLIBC_TUNABLES": _PINNED_LIBM}
+        )
     except subprocess.TimeoutExpired:
-        raise TownError(f"scene {folder.name} did not end within {_RUN_TIMEOUT_S} s; shorten it") from None
+        raise TownError(
+            f"scene {folder.name} did not end within {_RUN_TIMEOUT_S} s; shorten it"
+        ) from None
     if done.returncode != 0:
         reason = (done.stderr.strip().splitlines() or ["no message"])[-1][:800]
         known = done.returncode == _BAD_SCENE
-        raise TownError(reason if known else f"{folder}: its process ended with exit code {done.returncode}: {reason}")
+        raise TownError(
+            reason
+            if known
+            else f"{folder}: its process ended with exit code {done.returncode}: {reason}"
+        )
     facts: Facts = json.loads(done.stdout.strip().splitlines()[-1])
     return facts
 
@@ -169,8 +196,14 @@ def _joystick(now: ClientSnapshot, wanted: SceneSeat, at_s: float) -> Joystick:
 
 
 def film_scene(folder: Path, path: Path) -> None:
-    """Run a scene and write it as a video (.webm). Raises TownError or ConfigError as the parts do."""
-    with _open_scene(folder, (_FILM_CAMERA,)) as (world, scene), street_video(path, world, _FILM_SPAN_M) as add:
+    """Run a scene and write it as a video (.webm).
+
+    Raises TownError or ConfigError as the parts do.
+    """
+    with (
+        _open_scene(folder, (_FILM_CAMERA,)) as (world, scene),
+        street_video(path, world, _FILM_SPAN_M) as add,
+    ):
         for snapshot in (step.after for step in play(world, scene)):
             frame = snapshot.clients[0].sensors.cameras[0]
             if frame.rgb is not None:

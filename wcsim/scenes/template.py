@@ -1,4 +1,7 @@
-"""A small scene that runs as it is, as a beginning for one's own: a street with a zebra, a car, a wheelchair."""
+"""A small scene that runs as it is, as a beginning for one's own.
+
+A street with a zebra, a car, a wheelchair.
+"""
 
 import re
 from pathlib import Path
@@ -84,7 +87,9 @@ def write_scene(home: Path, name: str) -> Path:
         DiskFullError: It cannot be written.
     """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
-        raise TownError(f"a scene cannot be named {name!r}; expected up to 64 letters, digits, - and _")
+        raise TownError(
+            f"a scene cannot be named {name!r}; expected up to 64 letters, digits, - and _"
+        )
     folder = home / name
     if folder.exists():
         raise TownError(f"{folder} already exists; choose another name, or remove it first")

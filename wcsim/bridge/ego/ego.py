@@ -1,6 +1,7 @@
-"""The seats of a world, each free or taken; in a taken one sits a wheelchair, with its user and its episode.
+"""The seats of a world, each free or taken.
 
-Which of the others a wheelchair's cameras have shown lately: what may be known to who sees nothing else.
+In a taken one sits a wheelchair, with its user and its episode. Which of the others a wheelchair's
+cameras have shown lately: what may be known to who sees nothing else.
 """
 
 import math
@@ -110,9 +111,18 @@ class Ego:
     """A wheelchair with its user; `World` calls its methods in the order of a tick."""
 
     def __init__(
-        self, index: int, spec: SeatSpec, config: RunConfig, street: Street, router: Router, find_user: FindUser
+        self,
+        index: int,
+        spec: SeatSpec,
+        config: RunConfig,
+        street: Street,
+        router: Router,
+        find_user: FindUser,
     ) -> None:
-        """Nothing is in the world before `build`. Raises ConfigError for a spec that cannot be used."""
+        """Nothing is in the world before `build`.
+
+        Raises ConfigError for a spec that cannot be used.
+        """
         self.index = index
         self.spec = spec
         check_in_town(spec.start, router)
@@ -126,7 +136,9 @@ class Ego:
         wheels_m = np.column_stack([plant.stand_m(), plant.trails_m()])
         rims_m = np.array(plant.rims_m()).reshape(-1, 3)  # none of a high frame
         points, tick_s = action_set(config.env.lattice).points, config.world.tick_s
-        self._oracle = CrashOracle(street.grid, config.chair, plant.outline, wheels_m, rims_m, points, tick_s)
+        self._oracle = CrashOracle(
+            street.grid, config.chair, plant.outline, wheels_m, rims_m, points, tick_s
+        )
         self._variation = Randomization(config, index)
         self.chair: Wheelchair  # of this epoch: from `build` on
         self._rig: CameraRig
@@ -135,7 +147,9 @@ class Ego:
         self._start: _Start
         self._next_start: StartSpec | None = None  # of the next episode alone
         self.fitting: DrawnChair | None = None
-        self.habits: AttentionModel | None = None  # of the others towards this chair, when they were drawn
+        self.habits: AttentionModel | None = (
+            None  # of the others towards this chair, when they were drawn
+        )
         self._waiting = deque[Joystick]()  # commands that the chair has not obeyed yet
         self._obstacles = ObstacleWatch(street.grid)
         self._crossing = CrossingWatch(street.grid, street.walk)
@@ -158,7 +172,10 @@ class Ego:
 
     @property
     def plant(self) -> PlantState:
-        """Where its chair is and how it moves; until it has been put at its start, at rest there."""
+        """Where its chair is and how it moves.
+
+        Until it has been put at its start, at rest there.
+        """
         plant = self.chair.state()
         if self._stands or not self.spawned:
             return plant
@@ -171,15 +188,23 @@ class Ego:
         return self._episode + 1
 
     def build(self, engine: Engine, rig: CameraRig, seed: int, begun: int = 0) -> None:
-        """Put a new wheelchair into an engine; the old one has gone. `begun` episodes of the epoch were others'."""
+        """Put a new wheelchair into an engine; the old one has gone.
+
+        `begun` episodes of the epoch were others'.
+        """
         self._seed = seed
         self._episode = begun - 1
         self.spawned = self._stands = False
         self._rig = rig
         others = {"cameras": self._config.cameras, **self._config.sensors.on()}
         tick_s = self._config.world.tick_s
-        self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index, others, rig, tick_s)
-        self._keys = {name: seeding.derive_rng_key(seed, name, self.index) for name in self.chair.sensors.names}
+        self.chair = Wheelchair(
+            engine, self._config.chair, self._config.imu, self.index, others, rig, tick_s
+        )
+        self._keys = {
+            name: seeding.derive_rng_key(seed, name, self.index)
+            for name in self.chair.sensors.names
+        }
 
     def spawn(self, taken: TakenNear, habits: AttentionModel) -> None:
         """Begin the next episode: a clear start, where it has yet to `stand`, a user and a route.
@@ -212,7 +237,10 @@ class Ego:
         self._next_start = start
 
     def start_facing(self, xy: XY, goal: XY, taken: TakenNear) -> StartSpec | None:
-        """A start at this place that faces its way to the goal; None where it is not clear, but for this chair."""
+        """A start at this place that faces its way to the goal.
+
+        None where it is not clear, but for this chair.
+        """
         yaw_rad = heading_rad(self._router.route(xy, goal), 0.0, np.array(xy))
         # The chair leaves the place where it stands, so it is not in its own way.
         own, clear_m = chair_actor_id(self.index), CLEAR_SPAWN_M
@@ -220,7 +248,9 @@ class Ego:
         def others(xy_W_m: F64, radius_m: float) -> list[ActorState]:
             return [actor for actor in taken(xy_W_m, radius_m) if actor.id != own]
 
-        clear = is_clear(self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, others)
+        clear = is_clear(
+            self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, others
+        )
         return StartSpec(p_W_m=xy, yaw_rad=yaw_rad, goal_W_m=goal) if clear else None
 
     def _vary(self) -> None:
@@ -242,14 +272,18 @@ class Ego:
 
     def meets_edge(self) -> bool:
         """Whether one of the chair's wheels is about to meet the edge of a kerb in the coming tick."""
-        return meets_edge(self.chair.state(), self.chair.wheels_m, self._street.grid, self._config.world.tick_s)
+        return meets_edge(
+            self.chair.state(), self.chair.wheels_m, self._street.grid, self._config.world.tick_s
+        )
 
     def stand(self) -> None:
         """Put the chair at the start of this episode, on the street that has to be in the engine by now."""
         self._stands = True
         self.chair.place(self._start.p_W_m, self._start.yaw_rad)
         at = (self.index, "start", self._episode)
-        self.chair.sensors.start({name: seeding.derive_rng_key(self._seed, name, *at) for name in self._keys})
+        self.chair.sensors.start(
+            {name: seeding.derive_rng_key(self._seed, name, *at) for name in self._keys}
+        )
 
     def end_tick(self, tick: int) -> None:
         """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""
@@ -257,11 +291,15 @@ class Ego:
         world = self._config.world
         self.user.move_hand(world.finest_substeps, world.tick_s / world.finest_substeps)
 
-    def look(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> None:
+    def look(
+        self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]
+    ) -> None:
         """Show the user the street, and see where in it the chair is."""
         self.user.look(self.view(time_s, others, signals))
         self._on_road = self._crossing.see(self.as_actor(), time_s, signals)
-        self.asks = self._button.see(self.user.route_progress_m, float(self.plant.v_B_mps[0]), time_s, signals)
+        self.asks = self._button.see(
+            self.user.route_progress_m, float(self.plant.v_B_mps[0]), time_s, signals
+        )
         self._progressed_m = self.user.route_progress_m - self._progress_m
         self._progress_m = self.user.route_progress_m
 
@@ -280,7 +318,10 @@ class Ego:
         signals: Sequence[SignalState],
         buffers: SeatBuffers | None = None,
     ) -> Surroundings:
-        """What there is to see in this tick; the images are made in `buffers` when they are given."""
+        """What there is to see in this tick.
+
+        The images are made in `buffers` when they are given.
+        """
         return Surroundings(
             tick=tick,
             plant=self.chair.state(),
@@ -300,7 +341,9 @@ class Ego:
         if not self.spec.near:
             return frame
         user, grid = self.user, self._street.grid
-        rows = near_rows(self.chair.state(), user.joystick, self.route, user.route_progress_m, grid, others)
+        rows = near_rows(
+            self.chair.state(), user.joystick, self.route, user.route_progress_m, grid, others
+        )
         return replace(frame, readings=(*frame.readings, Reading(name=NEAR, values=rows.ravel())))
 
     def events(self, jam_teleports: int, first: bool) -> Events:
@@ -334,23 +377,37 @@ class Ego:
     def _crash_reason(self) -> str:
         chair, config = self.chair, self._config.reward
         dropped = config.drop and fell(*chair.wheel_track(), self._street.grid)
-        return find_crash_reason(chair.imu(), chair.state(), chair.contacts(), config, dropped=dropped)
+        return find_crash_reason(
+            chair.imu(), chair.state(), chair.contacts(), config, dropped=dropped
+        )
 
     def truth(self, others: Sequence[ActorState]) -> Truth | None:
-        """Danger, and when each action goes wrong, on the true geometry; for a seat that asked for it."""
+        """Danger, and when each action goes wrong, on the true geometry.
+
+        For a seat that asked for it.
+        """
         if not (self.spec.truth or self.spec.truth_visible):
             return None
         plant, stick, waiting = self.chair.state(), self.user.joystick, tuple(self._waiting)
         known = self._shown_actors.known(others) if self.spec.truth_visible else None
-        seen = self._oracle.assess(plant, stick, others, waiting, known, self.chair.drive_accel_mps2())
+        seen = self._oracle.assess(
+            plant, stick, others, waiting, known, self.chair.drive_accel_mps2()
+        )
         return replace(seen, intent=self.user.intent, progress_m=self._progressed_m)
 
     def in_danger(self, others: Sequence[ActorState]) -> bool:
-        """Whether the user's stick of now ends badly: `Truth.danger`, for a seat that has asked for no truth."""
-        plant, waiting = self.chair.state(), tuple(self._waiting)
-        return self._oracle.danger(plant, self.user.joystick, others, waiting, self.chair.drive_accel_mps2())
+        """Whether the user's stick of now ends badly.
 
-    def snapshot(self, tick: int, sensors: SensorFrame, events: Events, truth: Truth | None) -> ClientSnapshot:
+        `Truth.danger`, for a seat that has asked for no truth.
+        """
+        plant, waiting = self.chair.state(), tuple(self._waiting)
+        return self._oracle.danger(
+            plant, self.user.joystick, others, waiting, self.chair.drive_accel_mps2()
+        )
+
+    def snapshot(
+        self, tick: int, sensors: SensorFrame, events: Events, truth: Truth | None
+    ) -> ClientSnapshot:
         """This seat's share of the world's snapshot."""
         return ClientSnapshot(
             seat=self.index,
@@ -369,7 +426,10 @@ class Ego:
         return chair_pose(self.index, self.chair.state(), self.chair.outline)
 
     def as_actor(self) -> ActorState:
-        """This chair as other users and the street see it; made once for each state of the chair."""
+        """This chair as other users and the street see it.
+
+        Made once for each state of the chair.
+        """
         plant = self.plant
         # By identity: the chair makes a new state whenever it has moved.
         if self._shown is None or self._shown[0] is not plant:
@@ -422,11 +482,15 @@ class Ego:
     def _follow(self, route: Route) -> None:
         self.route = route
         self.user.follow(route)
-        self._button = CrossingButton(route, self._street, 0.5 * self.chair.outline.length_m, self._config.world)
+        self._button = CrossingButton(
+            route, self._street, 0.5 * self.chair.outline.length_m, self._config.world
+        )
         self.asks = None
         self._progress_m = self.user.route_progress_m
 
-    def view(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> UserView:
+    def view(
+        self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]
+    ) -> UserView:
         """What the user of this seat may know of the street now; it notices only who is near."""
         plant = self.chair.state()
         return UserView(
@@ -445,11 +509,16 @@ class Ego:
         return _Start(p_W_m=p_W_m, yaw_rad=yaw_rad, route=self._router.route(xy, goal))
 
     def _draw_start(self, rng: np.random.Generator, taken: TakenNear) -> _Start:
-        """A start on flat walkable ground, `CLEAR_SPAWN_M` from everything that moves; relaxed when nothing is free."""
+        """A start on flat walkable ground, `CLEAR_SPAWN_M` from everything that moves.
+
+        Relaxed when nothing is free.
+        """
         clear_m = CLEAR_SPAWN_M
         for attempt in range(1, SPAWN_TRIES + 1):
             xy, yaw_rad = self._router.random_start(rng)
-            if is_clear(self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, taken):
+            if is_clear(
+                self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, taken
+            ):
                 break
             # A crowded town gets a start in the end: a little less room after every hundred tries.
             clear_m *= 0.7 if attempt % 100 == 0 else 1.0
@@ -477,12 +546,18 @@ class EgoSlots:
     """Who sits where; `present` holds the taken seats in the order of their numbers."""
 
     def __init__(
-        self, specs: tuple[SeatSpec | None, ...], config: RunConfig, street: Street, town: Town, find_user: FindUser
+        self,
+        specs: tuple[SeatSpec | None, ...],
+        config: RunConfig,
+        street: Street,
+        town: Town,
+        find_user: FindUser,
     ) -> None:
         """One place for each of `specs`, free where it is None.
 
         Raises:
-            ConfigError: a camera is inside the chair's body, or a spec holds something that cannot be used.
+            ConfigError: a camera is inside the chair's body, or a spec holds something that cannot
+                be used.
             TownError: there are places, but the town has no pavement to drive on.
         """
         self.present: tuple[Ego, ...] = ()
@@ -493,14 +568,18 @@ class EgoSlots:
             refuse_cameras_inside(config.cameras, plant_spec(config.chair))
             require_pavement(street, town)
             self._router = Router(street.walk)
-            self.present = tuple(self._seat(number, spec) for number, spec in enumerate(specs) if spec is not None)
+            self.present = tuple(
+                self._seat(number, spec) for number, spec in enumerate(specs) if spec is not None
+            )
 
     def at(self, number: int) -> Ego:
         """The seat of this number. Raises ProtocolError when it is free or not there."""
         self._check(number)
         seat = self._find(number)
         if seat is None:
-            raise ProtocolError(f"seat {number} is free; expected one of {[seat.index for seat in self.present]}")
+            raise ProtocolError(
+                f"seat {number} is free; expected one of {[seat.index for seat in self.present]}"
+            )
         return seat
 
     def build(self, engine: Engine, rig: CameraRig, seed: int) -> None:
@@ -511,7 +590,9 @@ class EgoSlots:
             seat.build(engine, rig, seed)
 
     def admit(self, engine: Engine, rig: CameraRig, number: int, spec: SeatSpec) -> Ego:
-        """Take a free seat; its wheelchair is parked in the engine until its first episode is begun.
+        """Take a free seat.
+
+        Its wheelchair is parked in the engine until its first episode is begun.
 
         Raises:
             ProtocolError: the seat is taken or not there.
@@ -519,7 +600,9 @@ class EgoSlots:
         """
         self._check(number)
         if self._find(number) is not None:
-            raise ProtocolError(f"seat {number} is taken; expected one of the free ones {self._free() or '(none)'}")
+            raise ProtocolError(
+                f"seat {number} is taken; expected one of the free ones {self._free() or '(none)'}"
+            )
         seat = self._seat(number, spec)
         seat.build(engine, rig, self._seed, self._begun[number])
         # Commands and snapshots are in the order of the seats, whoever came last.
@@ -527,7 +610,10 @@ class EgoSlots:
         return seat
 
     def dismiss(self, number: int) -> None:
-        """Free a seat: its wheelchair leaves the engine. Raises ProtocolError when the seat is free or not there."""
+        """Free a seat: its wheelchair leaves the engine.
+
+        Raises ProtocolError when the seat is free or not there.
+        """
         self._begun[number] = self.at(number).begun
         self.revoke(number)
 
@@ -554,4 +640,6 @@ class EgoSlots:
 
     def _check(self, number: int) -> None:
         if not 0 <= number < len(self._begun):
-            raise ProtocolError(f"there is no seat {number}; expected 0 or more and less than {len(self._begun)}")
+            raise ProtocolError(
+                f"there is no seat {number}; expected 0 or more and less than {len(self._begun)}"
+            )

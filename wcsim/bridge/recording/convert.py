@@ -1,7 +1,8 @@
-"""Logs as files of others: SUMO's floating car data, and ROS 2 messages in MCAP. A journal's world is made again.
+"""Logs as files of others: SUMO's floating car data, and ROS 2 messages in MCAP.
 
-Floating car data has net coordinates, front bumpers, headings in degrees clockwise from north, as in SUMO's own
-`--fcd-output`. People are where the bridge showed them to the wheelchair, stepped aside where they did.
+A journal's world is made again. Floating car data has net coordinates, front bumpers, headings in
+degrees clockwise from north, as in SUMO's own `--fcd-output`. People are where the bridge showed
+them to the wheelchair, stepped aside where they did.
 """
 
 import math
@@ -23,7 +24,14 @@ from wcsim.core.reading import escape
 from wcsim.errors import ConfigError, ReplayMismatchError, WcsimError
 from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_header, read_trace_states
-from wcsim.log.records import Header, Input, Ticked, WorldState, with_fields, world_state_from_snapshot
+from wcsim.log.records import (
+    Header,
+    Input,
+    Ticked,
+    WorldState,
+    with_fields,
+    world_state_from_snapshot,
+)
 from wcsim.types import F64, ActorKind, ClientSnapshot, Drawn
 
 _CHAIR_TYPE = ActorKind.WHEELCHAIR.value
@@ -49,10 +57,14 @@ def _write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
         )
     if not chosen:
         epochs = ", ".join(str(number) for number in sorted({record.epoch for record in records}))
-        raise WcsimError(f"{trace}: has no tick of epoch {epoch}; expected --epoch with one of: {epochs}")
+        raise WcsimError(
+            f"{trace}: has no tick of epoch {epoch}; expected --epoch with one of: {epochs}"
+        )
     sized = header.chair_box_m is not None or not any(len(record.plants) for record in chosen)
     if not sized or any(record.actor_ids and not record.bodies for record in chosen):
-        raise WcsimError(f"{trace}: is of an older version without the sizes of actors and chairs; record it again")
+        raise WcsimError(
+            f"{trace}: is of an older version without the sizes of actors and chairs; record it again"
+        )
     return _write_steps(header, chosen, out)
 
 
@@ -62,7 +74,9 @@ def _write_steps(header: Header, records: Iterable[WorldState], out: Path) -> in
     with out.open("w", encoding="utf-8") as file:
         file.write(_HEAD)
         for record in records:
-            begun_s = record.time_s - header.tick_s  # SUMO calls a step by the time at which it begins
+            begun_s = (
+                record.time_s - header.tick_s
+            )  # SUMO calls a step by the time at which it begins
             file.write(f'    <timestep time="{max(0.0, begun_s):.2f}">\n')
             lines = list(_actor_lines(header, record))
             lines += [("vehicle", text) for text in _chair_lines(header, record)]
@@ -80,11 +94,19 @@ def _write_steps(header: Header, records: Iterable[WorldState], out: Path) -> in
 def _actor_lines(header: Header, record: WorldState) -> Iterator[tuple[str, str]]:
     for body, row in zip(record.bodies, record.actors, strict=True):
         if body.piece:
-            continue  # what is articulated is one vehicle to SUMO, whose front is that of its first piece
+            # What is articulated is one vehicle to SUMO, whose front is that of its first piece.
+            continue
         domain, _, name = body.id.partition(":")
         speed_mps = float(np.linalg.norm(row[5:8]))
         text = _line(
-            name, body.kind.value, row[:3], float(row[3]), float(row[4]), body.size_lwh_m[0], speed_mps, header
+            name,
+            body.kind.value,
+            row[:3],
+            float(row[3]),
+            float(row[4]),
+            body.size_lwh_m[0],
+            speed_mps,
+            header,
         )
         yield "person" if domain == "p" else "vehicle", text
 
@@ -101,9 +123,18 @@ def _chair_lines(header: Header, record: WorldState) -> Iterator[str]:
 
 
 def _line(
-    name: str, kind: str, p_W_m: F64, yaw_rad: float, pitch_rad: float, length_m: float, speed: float, head: Header
+    name: str,
+    kind: str,
+    p_W_m: F64,
+    yaw_rad: float,
+    pitch_rad: float,
+    length_m: float,
+    speed: float,
+    head: Header,
 ) -> str:
-    front_m = frames.net_from_world(frames.front_from_centre(p_W_m, yaw_rad, pitch_rad, length_m), head.origin_m)
+    front_m = frames.net_from_world(
+        frames.front_from_centre(p_W_m, yaw_rad, pitch_rad, length_m), head.origin_m
+    )
     return (
         f'id={quoteattr(name)} x="{front_m[0]:.2f}" y="{front_m[1]:.2f}" z="{front_m[2] + head.origin_z_m:.2f}" '
         f'angle="{frames.sumo_from_yaw(yaw_rad):.2f}" type="{kind}" speed="{speed:.2f}" '
@@ -121,7 +152,9 @@ def convert_to_fcd(log: Path, out: Path, epoch: int = 0, hook: str = "") -> int:
     header = read_header(log)
     require_hook(header, hook)
     if header.kind == "drive":
-        raise ConfigError(f"{escape(log)}: is a drive, which holds no traffic; expected a trace or a journal")
+        raise ConfigError(
+            f"{escape(log)}: is a drive, which holds no traffic; expected a trace or a journal"
+        )
     if header.kind == "trace":
         return _write_fcd(log, out, epoch)
     with closing(replayed(log, epoch, None, hook)) as steps:
@@ -135,7 +168,8 @@ def convert_to_fcd(log: Path, out: Path, epoch: int = 0, hook: str = "") -> int:
 def convert_to_mcap(log: Path, out: Path, epoch: int = 0, hook: str = "") -> dict[str, int]:
     """Write the wheelchairs of an epoch as an MCAP file; returns how many messages each topic has.
 
-    A journal holds all, as its world is made again; a trace knows the chairs, a drive its one and the sticks.
+    A journal holds all, as its world is made again; a trace knows the chairs, a drive its one and
+    the sticks.
 
     Raises:
         ConfigError: The extra for MCAP is not installed, or there is no wheelchair.
@@ -148,11 +182,19 @@ def convert_to_mcap(log: Path, out: Path, epoch: int = 0, hook: str = "") -> dic
         return _journal_bag(log, out, epoch, hook)
     if header.kind == "drive":
         if epoch:
-            raise ConfigError(f"{escape(log)}: has no epoch {epoch}; a drive has epoch 0 alone: leave --epoch out")
+            raise ConfigError(
+                f"{escape(log)}: has no epoch {epoch}; a drive has epoch 0 alone: leave --epoch out"
+            )
         return drive_bag(read_drive(log), out)
-    chosen = [record for record in read_trace_states(log)[1] if record.epoch == epoch and len(record.plants)]
+    chosen = [
+        record
+        for record in read_trace_states(log)[1]
+        if record.epoch == epoch and len(record.plants)
+    ]
     if not chosen:
-        raise ConfigError(f"{escape(log)}: has no wheelchair in world {epoch}; expected a run with some")
+        raise ConfigError(
+            f"{escape(log)}: has no wheelchair in world {epoch}; expected a run with some"
+        )
     return trace_bag(header.tick_s, chosen, out)
 
 
@@ -164,7 +206,9 @@ def _journal_bag(journal: Path, out: Path, epoch: int, hook: str) -> dict[str, i
 
     def before(world: World | None, record: Input) -> None:
         if world is not None and isinstance(record, Ticked):
-            answered.update((client.seat, client.first or client) for client in world.snapshot.clients)
+            answered.update(
+                (client.seat, client.first or client) for client in world.snapshot.clients
+            )
 
     with closing(replayed(journal, epoch, None, hook, before)) as steps, RosBag(out) as bag:
         for world, record in steps:
@@ -179,7 +223,11 @@ def _journal_bag(journal: Path, out: Path, epoch: int, hook: str) -> dict[str, i
                     chairs[seat] = RosChair(bag, None if alone else seat, begun_s)
                 if seat not in drawn or drawn[seat] != frame.drawn:
                     drawn[seat] = frame.drawn
-                    cameras = config.cameras if frame.drawn is None else moved(config.cameras, frame.drawn)
+                    cameras = (
+                        config.cameras
+                        if frame.drawn is None
+                        else moved(config.cameras, frame.drawn)
+                    )
                     chairs[seat].mounted(begun_s, config.imu, cameras)
                 chairs[seat].stick("joy", begun_s, frame.user)
                 chairs[seat].stick("joy_command", begun_s, command.joystick)

@@ -1,8 +1,9 @@
-"""Wheelchairs as ROS 2 sees them: the topics and frames of each, and what a recording's ticks are in them.
+"""Wheelchairs as ROS 2 sees them.
 
-One chair has `odom` and `base_link`; of several, those of seat n stand behind `chair_n/`. `base_link` is wcsim's frame
-B (below the middle of the drive axle; x forward, y left, z up), `map` its frame W (x east, y north, z up). Odometry is
-the truth, so `odom` stays on `map`.
+The topics and frames of each, and what a recording's ticks are in them. One chair has `odom` and
+`base_link`; of several, those of seat n stand behind `chair_n/`. `base_link` is wcsim's frame B
+(below the middle of the drive axle; x forward, y left, z up), `map` its frame W (x east, y north, z
+up). Odometry is the truth, so `odom` stays on `map`.
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,7 +21,12 @@ from wcsim.types import F32, F64, ClientSnapshot, Joystick
 
 MAP, ODOM, BASE = "map", "odom", "base_link"
 _LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
-_PLANT = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)  # of a row in a trace: place, turn, speed, turn rate
+_PLANT = (
+    slice(0, 3),
+    slice(3, 7),
+    slice(7, 10),
+    slice(10, 13),
+)  # of a row in a trace: place, turn, speed, turn rate
 
 
 class RosChair:
@@ -40,7 +46,9 @@ class RosChair:
         """The name of one of the chair's topics."""
         return f"/{self._space}{name}"
 
-    def stick(self, name: str, time_s: float, stick: Joystick, buttons: Sequence[bool] = ()) -> None:
+    def stick(
+        self, name: str, time_s: float, stick: Joystick, buttons: Sequence[bool] = ()
+    ) -> None:
         """A joystick as ROS's drivers give one: axes to the left and forward."""
         self._bag.joy(self.topic(name), time_s, (0.0 - stick.x, stick.y), buttons)
 
@@ -51,14 +59,21 @@ class RosChair:
         self._bag.transform(time_s, frames, pose)
 
     def mounted(self, time_s: float, imu: ImuConfig, cameras: Sequence[CameraConfig]) -> None:
-        """Where the chair's IMU and cameras sit from now on; to be told again when an episode moves them."""
+        """Where the chair's IMU and cameras sit from now on.
+
+        To be told again when an episode moves them.
+        """
         at_m = np.array(imu.p_BI_m)
-        self._bag.transform(time_s, (self.frame(BASE), self.frame("imu_link")), (at_m, _LEVEL), fixed=True)
+        self._bag.transform(
+            time_s, (self.frame(BASE), self.frame("imu_link")), (at_m, _LEVEL), fixed=True
+        )
         for camera in cameras:
             T_CB = camera_matrix(np.eye(3, 4), mount(camera))
             R_BC = T_CB[:, :3].T
             pose = (-R_BC @ T_CB[:, 3], _quaternion_of(R_BC))
-            self._bag.transform(time_s, (self.frame(BASE), self.frame(optical(camera.name))), pose, fixed=True)
+            self._bag.transform(
+                time_s, (self.frame(BASE), self.frame(optical(camera.name))), pose, fixed=True
+            )
 
     def saw(self, time_s: float, client: ClientSnapshot, config: RunConfig) -> None:
         """What a world says of a chair after a tick, but for the stick, which belongs to the next one."""
@@ -70,22 +85,38 @@ class RosChair:
         """What the chair's IMU and cameras say; a picture when it is new."""
         imu = client.sensors.imu
         turn = np.array(quaternion_from_ypr(imu.yaw_rad, imu.pitch_rad, imu.roll_rad))
-        self._bag.imu(self.topic("imu/data"), time_s, self.frame("imu_link"), turn, imu.gyro_radps, imu.accel_mean_mps2)
+        self._bag.imu(
+            self.topic("imu/data"),
+            time_s,
+            self.frame("imu_link"),
+            turn,
+            imu.gyro_radps,
+            imu.accel_mean_mps2,
+        )
         for frame, camera in zip(client.sensors.cameras, config.cameras, strict=True):
             if frame.taken_tick != client.tick:
                 continue
             space, where = f"camera/{frame.name}", self.frame(optical(frame.name))
             size_px, ideal = (camera.width_px, camera.height_px), pinhole(camera)
-            self._bag.camera_info(self.topic(f"{space}/camera_info"), time_s, where, size_px, ideal.focal_px)
+            self._bag.camera_info(
+                self.topic(f"{space}/camera_info"), time_s, where, size_px, ideal.focal_px
+            )
             depth_m = measured(frame.depth_m, camera.range_m)
             self._bag.image(self.topic(f"{space}/depth/image_raw"), time_s, where, depth_m, "32FC1")
-            self._bag.image(self.topic(f"{space}/class/image_raw"), time_s, where, frame.class_id, "mono8")
+            self._bag.image(
+                self.topic(f"{space}/class/image_raw"), time_s, where, frame.class_id, "mono8"
+            )
             if frame.rgb is not None:
-                self._bag.image(self.topic(f"{space}/rgb/image_raw"), time_s, where, frame.rgb, "rgb8")
+                self._bag.image(
+                    self.topic(f"{space}/rgb/image_raw"), time_s, where, frame.rgb, "rgb8"
+                )
 
 
 def drive_bag(drive: DriveRecording, out: Path) -> dict[str, int]:
-    """Write a drive as an MCAP file; returns how many messages each topic has. Raises ConfigError without rosbags."""
+    """Write a drive as an MCAP file; returns how many messages each topic has.
+
+    Raises ConfigError without rosbags.
+    """
     with RosBag(out) as bag:
         chair, before, tick_s = RosChair(bag, None, 0.0), None, drive.header.tick_s
         for tick in drive.ticks:
@@ -107,15 +138,22 @@ def drive_bag(drive: DriveRecording, out: Path) -> dict[str, int]:
 
 
 def trace_bag(tick_s: float, records: Iterable[WorldState], out: Path) -> dict[str, int]:
-    """Write the chairs of a trace as an MCAP file; returns how many messages each topic has. Raises ConfigError."""
+    """Write the chairs of a trace as an MCAP file; returns how many messages each topic has.
+
+    Raises ConfigError.
+    """
     with RosBag(out) as bag:
         chairs: dict[int, RosChair] = {}
         for record in records:
             seats = record.seats or tuple(range(len(record.plants)))
             for seat, command, plant in zip(seats, record.commands, record.plants, strict=True):
                 if seat not in chairs:
-                    chairs[seat] = RosChair(bag, seat if max(seats) > 0 else None, record.time_s - tick_s)
-                chairs[seat].stick("joy_command", record.time_s - tick_s, Joystick(*command.tolist()))
+                    chairs[seat] = RosChair(
+                        bag, seat if max(seats) > 0 else None, record.time_s - tick_s
+                    )
+                chairs[seat].stick(
+                    "joy_command", record.time_s - tick_s, Joystick(*command.tolist())
+                )
                 chairs[seat].moved(record.time_s, *(plant[part] for part in _PLANT))
         return bag.counts
 
@@ -126,7 +164,9 @@ def optical(name: str) -> str:
 
 
 def measured(depth_m: F32, range_m: float) -> F32:
-    """Depth (H, W) as REP 118 has it: +Inf where nothing is within the range, NaN where nothing was measured.
+    """Depth (H, W) as REP 118 has it.
+
+    +Inf where nothing is within the range, NaN where nothing was measured.
 
     >>> measured(np.array([[0.0, 3.5, 40.0]], np.float32), 40.0).tolist()
     [[nan, 3.5, inf]]

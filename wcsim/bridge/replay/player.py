@@ -1,4 +1,7 @@
-"""Does to a world what its log says was done, record by record; and what such a world with seats must offer."""
+"""Does to a world what its log says was done, record by record.
+
+And what such a world with seats must offer.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Generic, Protocol, TypeVar
@@ -23,7 +26,9 @@ class SeatWorld(Protocol):
     def dismiss(self, seat: int) -> None:
         """Take a seat's chair out of the street."""
 
-    def respawn(self, seat: int, out: ImageSink | None = None, start: StartSpec | None = None) -> ClientSnapshot:
+    def respawn(
+        self, seat: int, out: ImageSink | None = None, start: StartSpec | None = None
+    ) -> ClientSnapshot:
         """Begin a seat's next episode, at a start of its own where one is given."""
 
     def rebuild(self, seed: int, out: ImageSink | None = None) -> Snapshot:
@@ -61,7 +66,9 @@ class Seats:
 
     def specs(self, capacity: int) -> Specs:
         """The seats of a world."""
-        return tuple(taken.spec if (taken := self.taken.get(seat)) else None for seat in range(capacity))
+        return tuple(
+            taken.spec if (taken := self.taken.get(seat)) else None for seat in range(capacity)
+        )
 
 
 class LogPlayer(Generic[W]):

@@ -1,7 +1,8 @@
-"""The world of a log made again, epoch by epoch, of a journal or of a recorded drive; and compared with its log.
+"""The world of a log made again, epoch by epoch, of a journal or of a recorded drive.
 
-The world asks its seat's user about the way, whoever drives. So a person's drive is the same again only with the same
-user beside: another one would arrive elsewhere, and press other buttons.
+And compared with its log. The world asks its seat's user about the way, whoever drives. So a
+person's drive is the same again only with the same user beside: another one would arrive elsewhere,
+and press other buttons.
 """
 
 import math
@@ -24,7 +25,17 @@ from wcsim.core.reading import escape
 from wcsim.errors import ConfigError, TownError, WcsimError
 from wcsim.log.drive import DriveRecording, read_drive
 from wcsim.log.reader import iter_journal_inputs, read_header
-from wcsim.log.records import Admitted, DriveTick, Ended, EpochBegun, Header, Input, Note, WorldTick, with_fields
+from wcsim.log.records import (
+    Admitted,
+    DriveTick,
+    Ended,
+    EpochBegun,
+    Header,
+    Input,
+    Note,
+    WorldTick,
+    with_fields,
+)
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, content_hash, find_town, towns_hash
@@ -38,7 +49,9 @@ _SCENE, _TOWN, _STICK = "scene", "town", "stick.csv"
 
 
 def _made_scene(told: str) -> Path:
-    """The folder of a generated scene and of its street, by what a drive's header says: family, seed, hash.
+    """The folder of a generated scene and of its street, by what a drive's header says.
+
+    Family, seed, hash.
 
     Raises TownError when this wcsim knows no such scene, or generates another one of that seed.
     """
@@ -90,7 +103,10 @@ def _held(name: str, make: Callable[[Path], object]) -> Path:
 
 
 def first_inputs(spec: SeatSpec, seed: int) -> tuple[Input, ...]:
-    """What the log of a drive begins with: the chair comes before the world, which begins with it."""
+    """What the log of a drive begins with.
+
+    The chair comes before the world, which begins with it.
+    """
     return Admitted(epoch=0, tick=0, seat=0, spec=spec), EpochBegun(epoch=0, seed=seed)
 
 
@@ -110,7 +126,8 @@ def _drive_inputs(drive: DriveRecording) -> Iterator[Input]:
 def _let_wait(world: World, drive: DriveRecording, tick: DriveTick) -> None:
     """Before a tick who sits beside a person gets the patience of then.
 
-    A person has all the time in the world; a simulated user who drives gives up as its profile says.
+    A person has all the time in the world; a simulated user who drives gives up as its profile
+    says.
     """
     if not drive.about.profile:
         world.seats[0].user.patient = tick.by_person
@@ -142,7 +159,10 @@ def town_of_drive(header: Header) -> Town:
 Log = Path | DriveRecording
 """What can be made again: the file of a journal, or a drive."""
 Replay = Generator[tuple[World, Input], None, None]
-"""Each record with the world after it. It holds that world, which ends with it: exhaust it, or close it."""
+"""Each record with the world after it.
+
+It holds that world, which ends with it: exhaust it, or close it.
+"""
 Before = Callable[[World | None, Input], object]
 """Is shown the world before each record, None where there is none yet."""
 
@@ -168,13 +188,15 @@ def replayed(
         log: A journal or a drive.
         epoch: Which one; all when None.
         until_tick: The last tick of each epoch to do.
-        hook: The user's own step hook, which must be the log's: that one is code, and not for a file to name.
+        hook: The user's own step hook, which must be the log's: that one is code, and not for a
+            file to name.
         before: Hears of each record before it is done.
 
     Raises:
         TownError: The town is not there, or is not what it was.
         ConfigError: Its settings or its user cannot be used here.
-        WcsimError: It is no such log, has no such epoch, or its records do not follow from each other.
+        WcsimError: It is no such log, has no such epoch, or its records do not follow from each
+            other.
     """
     header = read_header(log, "journal") if isinstance(log, Path) else log.header
     player = LogPlayer(worlds_of(header, hook), header.seats)
@@ -191,13 +213,19 @@ def replayed(
         player.close()
     name = log if isinstance(log, Path) else Path(log.name)
     if not known:
-        raise WcsimError(f"{name}: has no epoch: it is truncated, or its world never started; expected a whole journal")
+        raise WcsimError(
+            f"{name}: has no epoch: it is truncated, or its world never started; expected a whole journal"
+        )
     if epoch is not None and epoch not in known:
         raise WcsimError(f"{name}: has no epoch {epoch}; expected one of {sorted(known)}")
 
 
 def _played(
-    player: LogPlayer[World], inputs: Iterator[Input], epoch: int | None, until_tick: int | None, before: Before
+    player: LogPlayer[World],
+    inputs: Iterator[Input],
+    epoch: int | None,
+    until_tick: int | None,
+    before: Before,
 ) -> Generator[tuple[World, Input], None, set[int]]:
     """Play the wanted epochs; returns which there are."""
     known: set[int] = set()
@@ -221,8 +249,8 @@ def _played(
 def worlds_of(header: Header, hook: str = "") -> MakesEpoch[World]:
     """Makes the worlds of a log; `hook` has to be the log's own step hook.
 
-    Raises ConfigError for another hook and for settings that cannot be used, TownError when the town is not there or
-    is not what it was.
+    Raises ConfigError for another hook and for settings that cannot be used, TownError when the
+    town is not there or is not what it was.
     """
     require_hook(header, hook)
     towns = _towns(header) if header.drive is None else (town_of_drive(header),)
@@ -272,10 +300,10 @@ def verify(
     progress: Callable[[int], object] = lambda ticks: None,
     hook: str = "",
 ) -> _Verified:
-    """Compare the ticks from `first_tick` to `last_tick` of one or all epochs; raises what `replayed` raises.
+    """Compare the ticks from `first_tick` to `last_tick` of one or all epochs.
 
-    Of a journal their hashes; of a drive place, heading, speed and ends, and the stick of who was simulated.
-    `progress` hears the number of ticks so far.
+    Raises what `replayed` raises. Of a journal their hashes; of a drive place, heading, speed and
+    ends, and the stick of who was simulated. `progress` hears the number of ticks so far.
     """
     result, asked = _Verified(), list[Joystick]()
     of_person = isinstance(log, DriveRecording) and not log.about.profile
@@ -292,7 +320,9 @@ def verify(
                 continue
             if isinstance(record, DriveTick):
                 client = world.snapshot.clients[0]
-                same = _is_same(record, client, None if of_person and record.by_person else asked[0])
+                same = _is_same(
+                    record, client, None if of_person and record.by_person else asked[0]
+                )
                 gap_m = math.dist(client.plant.p_WB_m.tolist(), record.p_WB_m.tolist())
             else:
                 same, gap_m = record.state_hash == world.snapshot.state_hash, 0.0
@@ -308,7 +338,10 @@ def verify(
 
 
 def _is_same(tick: DriveTick, client: ClientSnapshot, asked: Joystick | None) -> bool:
-    """Whether a drive's tick left the seat as it is recorded; `asked` is the stick of who was simulated."""
+    """Whether a drive's tick left the seat as it is recorded.
+
+    `asked` is the stick of who was simulated.
+    """
     plant, events = client.plant, client.events
     ends = (events.arrived, events.gave_up, events.crashed, events.truncated)
     return (

@@ -1,7 +1,8 @@
 """Reads from SUMO who is near a wheelchair and how the traffic lights there stand.
 
-Who is far away is asked for its place again only when it could have come near, and those who have departed at once. The
-session hands libsumo in: `bridge/sumo/session.py` stays the only file that loads it.
+Who is far away is asked for its place again only when it could have come near, and those who have
+departed at once. The session hands libsumo in: `bridge/sumo/session.py` stays the only file that
+loads it.
 
 SUMO's vehicle classes as our kinds and looks; a class or a size that nobody thought of is no error.
 """
@@ -29,9 +30,10 @@ _CLASSES_OF_KIND = {
     ActorKind.OTHER: "container ship cable_car aircraft drone",
 }
 KIND_OF_CLASS = {name: kind for kind, names in _CLASSES_OF_KIND.items() for name in names.split()}
-"""SUMO's vClass to our kind; a class that is not listed becomes OTHER, a box of SUMO's own length, width and height.
+"""SUMO's vClass to our kind.
 
-SUMO reads a class name that it does not know as "ignoring", and draws and moves it like a car.
+A class that is not listed becomes OTHER, a box of SUMO's own length, width and height. SUMO reads a
+class name that it does not know as "ignoring", and draws and moves it like a car.
 """
 
 _LOOK_OF_CLASS = {
@@ -44,11 +46,14 @@ _LOOK_OF_CLASS = {
 }
 _VAN_FROM_M = 2.0  # height from which on what drives like a car is a van
 
-# What SUMO's numbers are held to: PyBullet and the renderers need a box, and SUMO lets anybody write anything.
+# What SUMO's numbers are held to: PyBullet and the renderers need a box, and SUMO lets anybody
+# write anything.
 LEAST_M, MOST_M, _UNKNOWN_M = 0.1, 400.0, 1.0
 
 
-def _kind_and_look(vehicle_class: str, size_lwh_m: tuple[float, float, float]) -> tuple[ActorKind, ActorLook]:
+def _kind_and_look(
+    vehicle_class: str, size_lwh_m: tuple[float, float, float]
+) -> tuple[ActorKind, ActorLook]:
     """What something of SUMO's class and size is, and how it looks.
 
     >>> _kind_and_look("taxi", (4.5, 1.8, 1.5))
@@ -79,11 +84,15 @@ def _side(side_m: float) -> float:
     return min(max(float(side_m), LEAST_M), MOST_M) if math.isfinite(side_m) else _UNKNOWN_M
 
 
-FASTEST_MPS = {"v:": 70.0, "p:": 35.0}  # nobody and no chair together come nearer faster, but for a jump; people ride
+FASTEST_MPS = {
+    "v:": 70.0,
+    "p:": 35.0,
+}  # nobody and no chair together come nearer faster, but for a jump; people ride
 _MOVED_M = 1.5  # a chair that is so far from where it was at the last question has been put there
 _LONGEST_WAIT = 100  # steps
 Place = tuple[float, float, float]
-LONG_M = 5.0  # of who is longer, from a van on, the rear may be near while the front, which SUMO tells, is far
+# Of who is longer, from a van on, the rear may be near while the front, which SUMO tells, is far.
+LONG_M = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,8 +118,12 @@ class ActorReader:
         self._bodies: dict[str, _Body] = {}
         self._measured: set[str] = set()
         self._long_m: dict[str, float] = {}
-        self._due: dict[str, dict[int, list[str]]] = {}  # by kind: who is asked next at which step; none before a look
-        self._all: dict[str, tuple[list[str], F64]] = {}  # everybody after this step, by kind, once somebody has asked
+        self._due: dict[
+            str, dict[int, list[str]]
+        ] = {}  # by kind: who is asked next at which step; none before a look
+        self._all: dict[
+            str, tuple[list[str], F64]
+        ] = {}  # everybody after this step, by kind, once somebody has asked
         self._from_W_m, self._within_m = np.zeros((0, 2)), 0.0
         self._step, self._asked_at, self._unsure = 0, -1, False
 
@@ -119,7 +132,10 @@ class ActorReader:
         self._all.pop(actor_id[:2], None)
 
     def stepped(self, vehicles: Iterable[str], people: Iterable[str], unsure: bool) -> None:
-        """SUMO has made a step in which these departed; `unsure`: others may have jumped, so all are looked at."""
+        """SUMO has made a step in which these departed.
+
+        `unsure`: others may have jumped, so all are looked at.
+        """
         self._step += 1
         self._unsure |= unsure
         self._all.clear()
@@ -131,19 +147,23 @@ class ActorReader:
     def near(self, near_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
         """Every vehicle and person within `radius_m` of any of the points (n, 2), sorted by id.
 
-        By the front, as SUMO tells it; of who is longer than `LONG_M` any part may be so near.
-        Who rides in a vehicle is not in the street: SUMO lists riders as persons at the vehicle's front bumper.
+        By the front, as SUMO tells it; of who is longer than `LONG_M` any part may be so near. Who
+        rides in a vehicle is not in the street: SUMO lists riders as persons at the vehicle's front
+        bumper.
         """
         if not len(near_W_m):
             return ()
-        # Other places, a jump, or a second question in one step: the lists of who is due are used up or wrong.
+        # Other places, a jump, or a second question in one step: the lists of who is due are used
+        # up or wrong.
         elsewhere = moved(near_W_m, self._from_W_m, _MOVED_M) or radius_m != self._within_m
         if elsewhere or self._unsure or self._asked_at == self._step:
             self._due, self._unsure = {}, False
         self._from_W_m, self._within_m, self._asked_at = near_W_m.copy(), radius_m, self._step
         # People first: "p:" comes before "v:", so the two sorted parts are sorted as a whole.
         people = self._found("p:", self._api.person, near_W_m, radius_m)
-        return self._states(people, "p:") + self._states(self._found("v:", self._api.vehicle, near_W_m, radius_m), "v:")
+        return self._states(people, "p:") + self._states(
+            self._found("v:", self._api.vehicle, near_W_m, radius_m), "v:"
+        )
 
     def at(self, near_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
         """The same for a question asked once, about another place."""
@@ -152,7 +172,9 @@ class ActorReader:
             self._within("v:", self._api.vehicle, near_W_m, radius_m), "v:"
         )
 
-    def _found(self, kind: str, domain: Any, near_W_m: F64, radius_m: float) -> list[tuple[str, Place]]:
+    def _found(
+        self, kind: str, domain: Any, near_W_m: F64, radius_m: float
+    ) -> list[tuple[str, Place]]:
         """Names and front places in W of a domain's members near the points, sorted by name."""
         due = self._due.get(kind)
         if due is None:
@@ -160,16 +182,21 @@ class ActorReader:
             self._tidy(kind, due[self._step])
         ox, oy, oz = self._origin
         chairs = [(x + ox, y + oy) for x, y in near_W_m[:, :2].tolist()]
-        asked = [name for step in [step for step in due if step <= self._step] for name in due.pop(step)]
+        asked = [
+            name for step in [step for step in due if step <= self._step] for name in due.pop(step)
+        ]
         found, soon, closing_m, place_of = [], [], self._closing_m[kind], domain.getPosition3D
-        # A name may stand in the lists of two steps: it is asked for once, in the order of the steps.
+        # A name may stand in the lists of two steps: it is asked for once, in the order of the
+        # steps.
         for name in dict.fromkeys(asked):
             try:
                 x, y, z = place_of(name)
             except self._api.TraCIException:
                 self._bodies.pop(kind + name, None)
                 continue
-            except ValueError:  # no place for now: people who jump from street to street are nowhere between them
+            except (
+                ValueError
+            ):  # no place for now: people who jump from street to street are nowhere between them
                 soon.append(name)
                 continue
             gap_m = min([math.hypot(x - cx, y - cy) for cx, cy in chairs]) - radius_m
@@ -177,16 +204,21 @@ class ActorReader:
                 gap_m -= self._long_m.get(name, 0.0)
             if gap_m <= 0.0:
                 found.append((name, (x - ox, y - oy, z - oz)))
-            # Nobody can be here sooner than at the fastest speed, so it is not asked for its place before.
+            # Nobody can be here sooner than at the fastest speed, so it is not asked for its place
+            # before.
             if gap_m < 2.0 * closing_m:
                 soon.append(name)
             else:
-                due.setdefault(self._step + min(int(gap_m / closing_m), _LONGEST_WAIT), []).append(name)
+                due.setdefault(self._step + min(int(gap_m / closing_m), _LONGEST_WAIT), []).append(
+                    name
+                )
         due.setdefault(self._step + 1, []).extend(soon)
         found.sort()
         return found
 
-    def _within(self, kind: str, domain: Any, near_W_m: F64, radius_m: float) -> list[tuple[str, Place]]:
+    def _within(
+        self, kind: str, domain: Any, near_W_m: F64, radius_m: float
+    ) -> list[tuple[str, Place]]:
         """The same, from a look at everybody that is made once a step."""
         if kind not in self._all:
             names = list(domain.getIDList())
@@ -200,7 +232,9 @@ class ActorReader:
         gap_m = np.sqrt(((p_W_m[:, None, :2] - near_W_m[None, :, :2]) ** 2).sum(-1).min(1))
         if self._long_m and kind == "v:":
             gap_m -= [self._long_m.get(name, 0.0) for name in names]
-        return sorted((names[i], tuple(p_W_m[i].tolist())) for i in np.flatnonzero(gap_m <= radius_m))
+        return sorted(
+            (names[i], tuple(p_W_m[i].tolist())) for i in np.flatnonzero(gap_m <= radius_m)
+        )
 
     def _measure(self, vehicles: Iterable[str]) -> None:
         """Find the long ones among vehicles that are new here."""
@@ -233,7 +267,10 @@ class ActorReader:
     def _vehicle(self, name: str, front_W_m: Place) -> ActorState:
         vehicle = self._api.vehicle
         body = self._body("v:" + name, vehicle, name)
-        yaw_rad, pitch_rad = frames.yaw_from_sumo(vehicle.getAngle(name)), frames.deg2rad(vehicle.getSlope(name))
+        yaw_rad, pitch_rad = (
+            frames.yaw_from_sumo(vehicle.getAngle(name)),
+            frames.deg2rad(vehicle.getSlope(name)),
+        )
         speed_mps, signals = vehicle.getSpeed(name), vehicle.getSignals(name)
         return _state("v:" + name, body, front_W_m, yaw_rad, pitch_rad, speed_mps, signals)
 
@@ -274,7 +311,9 @@ class SignalReader:
         if moved(near_W_m, self._from_W_m, _MOVED_M) or radius_m != self._within_m:
             self._from_W_m, self._within_m = near_W_m.copy(), radius_m
             points = near_W_m[:, None, :2]
-            out_m = np.maximum(np.maximum(self._boxes_W_m[:, :2] - points, points - self._boxes_W_m[:, 2:]), 0.0)
+            out_m = np.maximum(
+                np.maximum(self._boxes_W_m[:, :2] - points, points - self._boxes_W_m[:, 2:]), 0.0
+            )
             # A little farther than asked: the list holds until a chair has moved by `_MOVED_M`.
             close = ((out_m**2).sum(-1) <= (radius_m + 2.0 * _MOVED_M) ** 2).any(axis=0)
             self._close = [self._names[i] for i in np.flatnonzero(close)]
@@ -294,19 +333,41 @@ def moved(now_W_m: F64, before_W_m: F64, by_m: float) -> bool:
 
 def _box(libsumo: Any, tls_id: str) -> tuple[float, float, float, float]:
     """West, south, east, north of a traffic light's stop lines, net coordinates."""
-    ends = [libsumo.lane.getShape(lane)[-1] for lane in set(libsumo.trafficlight.getControlledLanes(tls_id)) if lane]
+    ends = [
+        libsumo.lane.getShape(lane)[-1]
+        for lane in set(libsumo.trafficlight.getControlledLanes(tls_id))
+        if lane
+    ]
     if not ends:
-        return (-math.inf, -math.inf, math.inf, math.inf)  # it controls nothing that has a place: near everybody
+        return (
+            -math.inf,
+            -math.inf,
+            math.inf,
+            math.inf,
+        )  # it controls nothing that has a place: near everybody
     xs, ys = [end[0] for end in ends], [end[1] for end in ends]
     return min(xs), min(ys), max(xs), max(ys)
 
 
 def _state(
-    actor_id: str, body: _Body, front_W_m: Place, yaw_rad: float, pitch_rad: float, speed_mps: float, signals: int = 0
+    actor_id: str,
+    body: _Body,
+    front_W_m: Place,
+    yaw_rad: float,
+    pitch_rad: float,
+    speed_mps: float,
+    signals: int = 0,
 ) -> ActorState:
-    """As `frames.centre_from_front` and `frames.forward_vector`, in plain numbers: it runs for each actor."""
+    """As `frames.centre_from_front` and `frames.forward_vector`, in plain numbers.
+
+    It runs for each actor.
+    """
     flat = math.cos(pitch_rad)
-    ahead_x, ahead_y, ahead_z = flat * math.cos(yaw_rad), flat * math.sin(yaw_rad), math.sin(pitch_rad)
+    ahead_x, ahead_y, ahead_z = (
+        flat * math.cos(yaw_rad),
+        flat * math.sin(yaw_rad),
+        math.sin(pitch_rad),
+    )
     x, y, z = front_W_m
     half_m = 0.5 * body.size_lwh_m[0]
     return ActorState(

@@ -23,7 +23,9 @@ def main() -> int:
             _steps(session, int(sys.argv[3]))
             sys.stdout.write(f"{sys.argv[4]}\n")
             sys.stdout.flush()
-            session.rebuild(seed=2)  # a world does so too, and what SUMO keeps of the first time may kill it
+            session.rebuild(
+                seed=2
+            )  # a world does so too, and what SUMO keeps of the first time may kill it
             _steps(session, int(sys.argv[3]) // 10)
     except WcsimError as error:  # SUMO's own words, for whoever asked knows of which scenario
         sys.stderr.write(f"Error: {error.__context__ or error}\n")

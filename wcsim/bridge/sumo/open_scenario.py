@@ -1,6 +1,7 @@
-"""Where a world runs its scenario: filtered copies in a folder, tried out in a child before SUMO opens them here.
+"""Where a world runs its scenario.
 
-A world and those who order one both know `RunPlace`, so nothing here loads a simulator.
+Filtered copies in a folder, tried out in a child before SUMO opens them here. A world and those who
+order one both know `RunPlace`, so nothing here loads a simulator.
 """
 
 import hashlib
@@ -28,10 +29,14 @@ log = logging.getLogger("wcsim.bridge.sumo.open_scenario")
 
 _SUMO_FOLDER = "sumo"
 _TRIAL_STEPS = 50
-_JUPEDSIM_TRIAL_S = 300.0  # it dies when somebody departs to a place off its one connected area, however late
+_JUPEDSIM_TRIAL_S = (
+    300.0  # it dies when somebody departs to a place off its one connected area, however late
+)
 _BEGUN_ANEW = "begun anew"  # what the child says when its first time is over
 _LIMITS = Limits(wall_s=50.0, cpu_s=50, memory_bytes=16 << 30, file_bytes=1 << 30)
-_JUPEDSIM_LIMITS = replace(_LIMITS, wall_s=600.0, cpu_s=300)  # half a minute goes into the area of a whole town
+_JUPEDSIM_LIMITS = replace(
+    _LIMITS, wall_s=600.0, cpu_s=300
+)  # half a minute goes into the area of a whole town
 _SEARCH_LIMITS = Limits(wall_s=10.0, cpu_s=10, memory_bytes=16 << 30, file_bytes=1 << 30)
 _LISTS = ("additional-files", "route-files")  # in the order in which SUMO reads them
 
@@ -42,18 +47,32 @@ def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitSta
     Raises:
         TownError: a file is missing or broken, or SUMO refuses the scenario or dies of it.
     """
-    folder = held.enter_context(create_temporary_folder()) if place.folder is None else _fresh(place.folder)
+    folder = (
+        held.enter_context(create_temporary_folder())
+        if place.folder is None
+        else _fresh(place.folder)
+    )
     scenario = stage_scenario(town, settings, folder, place.outputs)
     for note in scenario.notes:
         log.info("%s: %s", town.name, note)
     for row in scenario.overrides:
-        log.info("%s: %s is %s, not %s: %s", town.name, row.option, row.wcsim, row.author or "the default", row.why)
+        log.info(
+            "%s: %s is %s, not %s: %s",
+            town.name,
+            row.option,
+            row.wcsim,
+            row.author or "the default",
+            row.why,
+        )
     _try_scenario(town, settings, scenario.digest)
     return scenario
 
 
 def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
-    """Run the scenario's first steps in a child, once for each state of its files. Raises TownError."""
+    """Run the scenario's first steps in a child, once for each state of its files.
+
+    Raises TownError.
+    """
     # With SUMO's version: another one may die of what this one runs.
     key = hashlib.sha256(
         f"{digest} {version('libsumo')} {_TRIAL_STEPS} {_JUPEDSIM_TRIAL_S} {_BEGUN_ANEW}".encode()
@@ -66,8 +85,16 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
         staged = stage_scenario(town, replace(settings, seed=1), work)
         tick_s = settings.world.tick_s
         by_jupedsim = read_configuration(staged.sumocfg).value(PEOPLE) == JUPEDSIM
-        steps = max(_TRIAL_STEPS, round(_JUPEDSIM_TRIAL_S / tick_s)) if by_jupedsim else _TRIAL_STEPS
-        command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(staged.sumocfg), repr(tick_s)]
+        steps = (
+            max(_TRIAL_STEPS, round(_JUPEDSIM_TRIAL_S / tick_s)) if by_jupedsim else _TRIAL_STEPS
+        )
+        command = [
+            sys.executable,
+            "-m",
+            "wcsim.bridge.sumo.first_steps",
+            str(staged.sumocfg),
+            repr(tick_s),
+        ]
         command += [str(steps), _BEGUN_ANEW]
         # The child has to find the packages that this process found, however it was started.
         env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
@@ -100,7 +127,10 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
 
 
 def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:
-    """The file with which the scenario begins to fail, in the order in which SUMO reads them; or the .sumocfg."""
+    """The file with which the scenario begins to fail, in the order in which SUMO reads them.
+
+    Or the .sumocfg.
+    """
     files = (*town.additional, *town.routes)
     end_s = staged.begin_s + _TRIAL_STEPS * settings.world.tick_s
 

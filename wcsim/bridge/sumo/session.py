@@ -1,10 +1,12 @@
 """SUMO inside this process: the only file that speaks to libsumo.
 
-libsumo holds one simulation a process; a second `start` silently resets the first one, so a session refuses to start
-while another one is loaded. Whole-world reset is one drain step, then `libsumo.load` (bit-identical; `loadState` is
-not). Nothing but `ActorState` and `SignalState` leaves this file.
+libsumo holds one simulation a process; a second `start` silently resets the first one, so a session
+refuses to start while another one is loaded. Whole-world reset is one drain step, then
+`libsumo.load` (bit-identical; `loadState` is not). Nothing but `ActorState` and `SignalState`
+leaves this file.
 
-`open_session` starts it with the scenario of a town, staged and tried out; `warm_up` lets the traffic run alone.
+`open_session` starts it with the scenario of a town, staged and tried out; `warm_up` lets the
+traffic run alone.
 """
 
 import locale
@@ -62,7 +64,10 @@ def refuse_second_world() -> None:
 
 
 def _stood(vehicle: str) -> str:
-    """Where somebody stood who is being teleported: SUMO has put them onto the next edge of their route already."""
+    """Where somebody stood who is being teleported.
+
+    SUMO has put them onto the next edge of their route already.
+    """
     try:
         edges, now = libsumo.vehicle.getRoute(vehicle), libsumo.vehicle.getRouteIndex(vehicle)
     except libsumo.TraCIException:  # taken out of the street for good
@@ -83,7 +88,10 @@ class SumoOptions:
     hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`
 
     def arguments(self) -> list[str]:
-        """The command line for libsumo; the scenario's own configuration comes first and is overridden by the rest."""
+        """The command line for libsumo.
+
+        The scenario's own configuration comes first and is overridden by the rest.
+        """
         words = ["sumo", "--configuration-file", str(self.sumocfg)]
         for name, value in forced(self.settings, self.author_scale):
             words += [f"--{name}", value]
@@ -101,8 +109,11 @@ class SumoSession(ClosingContextBase):
         self._open = True
         self.pilot = VehicleControl(libsumo, options.origin_m)
         self.buttons = SignalControl(libsumo)
-        self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.settings.world.tick_s)
-        # SUMO reads the names of files in the letters of the locale; that of LC_ALL=C has no others than ASCII's.
+        self._reader = ActorReader(
+            libsumo, (*options.origin_m, options.z_origin_m), options.settings.world.tick_s
+        )
+        # SUMO reads the names of files in the letters of the locale; that of LC_ALL=C has no others
+        # than ASCII's.
         if locale.nl_langinfo(locale.CODESET) != "UTF-8":
             locale.setlocale(locale.LC_CTYPE, UTF_8)
         self._guarded(lambda: libsumo.start(options.arguments()))
@@ -117,8 +128,13 @@ class SumoSession(ClosingContextBase):
 
     def _begin_anew(self) -> None:
         self.teleports = 0  # vehicles that SUMO took out of a jam during the last step
-        self.come: frozenset[str] = frozenset()  # in the last step, as in `ActorState.id`: departed, or off a teleport
-        self.mishaps = (0, 0)  # since the scenario began, warm-up included: teleports, and collisions that began
+        self.come: frozenset[str] = (
+            frozenset()
+        )  # in the last step, as in `ActorState.id`: departed, or off a teleport
+        self.mishaps = (
+            0,
+            0,
+        )  # since the scenario began, warm-up included: teleports, and collisions that began
         self._colliding: frozenset[frozenset[str]] = frozenset()
         self.warnings = WarningLog(self._options.warnings)
 
@@ -136,18 +152,35 @@ class SumoSession(ClosingContextBase):
         self.warnings.read()
         jammed = libsumo.simulation.getStartingTeleportIDList()
         landed = libsumo.simulation.getEndingTeleportIDList()
-        vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()
-        # After a jump an actor may be nearer than its speed allows: the reader looks at all of them again.
+        vehicles, people = (
+            libsumo.simulation.getDepartedIDList(),
+            libsumo.simulation.getDepartedPersonIDList(),
+        )
+        # After a jump an actor may be nearer than its speed allows: the reader looks at all of them
+        # again.
         unsure = bool(jammed or landed or self._jumpers or self._hook is not None)
         self._reader.stepped(vehicles, people, unsure=unsure)
         self.teleports = len(jammed)
-        # SUMO lists a collision in every step that it lasts: only new pairs count, whichever of them SUMO blames.
-        pairs = frozenset(frozenset((hit.collider, hit.victim)) for hit in libsumo.simulation.getCollisions())
-        self.mishaps = self.mishaps[0] + self.teleports, self.mishaps[1] + len(pairs - self._colliding)
+        # SUMO lists a collision in every step that it lasts: only new pairs count, whichever of
+        # them SUMO blames.
+        pairs = frozenset(
+            frozenset((hit.collider, hit.victim)) for hit in libsumo.simulation.getCollisions()
+        )
+        self.mishaps = (
+            self.mishaps[0] + self.teleports,
+            self.mishaps[1] + len(pairs - self._colliding),
+        )
         self._colliding = pairs
-        self.come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])
+        self.come = frozenset(
+            [*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)]
+        )
         for name in sorted(jammed):
-            log.warning("jam: SUMO teleported %s, which stood too long%s, at %.1f s", name, _stood(name), self.time_s())
+            log.warning(
+                "jam: SUMO teleported %s, which stood too long%s, at %.1f s",
+                name,
+                _stood(name),
+                self.time_s(),
+            )
 
     def rebuild(self, seed: int) -> None:
         """Start the scenario again from its beginning with another seed."""
@@ -171,7 +204,10 @@ class SumoSession(ClosingContextBase):
         return float(libsumo.simulation.getTime())
 
     def actors(self, near_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
-        """Every vehicle and person within `radius_m` of any of the chairs (n, 2), sorted by id; once a step."""
+        """Every vehicle and person within `radius_m` of any of the chairs (n, 2), sorted by id.
+
+        Once a step.
+        """
         return self._reader.near(near_W_m, radius_m)
 
     def actors_at(self, place_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
@@ -183,7 +219,10 @@ class SumoSession(ClosingContextBase):
         return self.actors_at(np.zeros((1, 2)), math.inf)
 
     def turn_away(self, actor_id: str) -> bool:
-        """Take an actor out of the street that SUMO has just put on top of somebody; whether it could be."""
+        """Take an actor out of the street that SUMO has just put on top of somebody.
+
+        Whether it could be.
+        """
         # JuPedSim goes on with people who have been removed: SUMO 1.28 dies of it in the next step.
         if self._by_jupedsim and actor_id.startswith("p:"):
             return False
@@ -224,9 +263,12 @@ def sumo_seed(seed: int) -> int:
 def open_session(
     town: Town, config: RunConfig, seed: int, place: RunPlace, net_z_m: float, held: ExitStack
 ) -> tuple[Scenario, SumoSession]:
-    """Start SUMO for a world with this seed; `held` ends it, `net_z_m` is the net's own height of W's z = 0.
+    """Start SUMO for a world with this seed.
 
-    Raises TownError for a scenario that cannot be run, WorldInUseError while another session lives in this process.
+    `held` ends it, `net_z_m` is the net's own height of W's z = 0.
+
+    Raises TownError for a scenario that cannot be run, WorldInUseError while another session lives
+    in this process.
     """
     settings = Settings(world=config.world, seed=sumo_seed(seed))
     scenario = open_scenario(town, settings, place, held)
@@ -243,7 +285,10 @@ def open_session(
 
 
 def warmup_s(town: Town, config: RunConfig) -> float:
-    """How long the traffic runs before a world begins: as the user set it, as the town says, or as usual."""
+    """How long the traffic runs before a world begins.
+
+    As the user set it, as the town says, or as usual.
+    """
     asked_s, own_s = config.world.warmup_s, town.file.warmup_s
     return asked_s if asked_s is not None else _WARMUP_S if own_s is None else own_s
 

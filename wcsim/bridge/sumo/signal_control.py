@@ -1,8 +1,9 @@
 """Asks a traffic light of SUMO for a crossing's green, as a push button does.
 
-SUMO's actuated programs hear people on foot through its own walking areas, where a chair never is: a crossing whose
-green is optional stays red for it. The request takes nothing out of the program: the running phase keeps its minimum,
-what follows is one of the phases that the program itself allows next, and each of them runs as it always does.
+SUMO's actuated programs hear people on foot through its own walking areas, where a chair never is:
+a crossing whose green is optional stays red for it. The request takes nothing out of the program:
+the running phase keeps its minimum, what follows is one of the phases that the program itself
+allows next, and each of them runs as it always does.
 
 The session hands libsumo in: `bridge/sumo/session.py` stays the only file that loads it.
 """
@@ -69,9 +70,10 @@ class SignalControl:
         self._programs.clear()
 
     def ask(self, requests: Sequence[GreenRequest]) -> None:
-        """Bring lights nearer to the green that chairs wait for; once before each step, while they wait.
+        """Bring lights nearer to the green that chairs wait for.
 
-        Of several requests to one light the first is heard, until it has green.
+        Once before each step, while they wait. Of several requests to one light the first is heard,
+        until it has green.
         """
         # Reversed, so that the first of several requests to one light is the one that stays.
         for tls_id, request in {request.tls_id: request for request in reversed(requests)}.items():
@@ -86,7 +88,10 @@ class SignalControl:
         if program is None or not 0 <= now < len(program) or program[now].fixed:
             return
         following = _towards_green(program, now, links)
-        if following is not None and lights.getSpentDuration(tls_id) >= program[now].least_s - _SAME_TIME_S:
+        if (
+            following is not None
+            and lights.getSpentDuration(tls_id) >= program[now].least_s - _SAME_TIME_S
+        ):
             lights.setPhase(tls_id, following)
             # Without this an actuated program leaves the new phase in the next step: no yellow.
             lights.setPhaseDuration(tls_id, program[following].least_s)
@@ -95,22 +100,34 @@ class SignalControl:
         """A program; None for one that has no place for a request."""
         key = (tls_id, program_id)
         if key not in self._programs:
-            logics = {logic.programID: logic for logic in self._api.trafficlight.getAllProgramLogics(tls_id)}
-            self._programs[key] = self._read(tls_id, logics[program_id]) if program_id in logics else None
+            logics = {
+                logic.programID: logic
+                for logic in self._api.trafficlight.getAllProgramLogics(tls_id)
+            }
+            self._programs[key] = (
+                self._read(tls_id, logics[program_id]) if program_id in logics else None
+            )
         return self._programs[key]
 
     def _read(self, tls_id: str, logic: Any) -> Program | None:
         kinds = self._api.constants
-        actuated = logic.type in (kinds.TRAFFICLIGHT_TYPE_ACTUATED, kinds.TRAFFICLIGHT_TYPE_DELAYBASED)
+        actuated = logic.type in (
+            kinds.TRAFFICLIGHT_TYPE_ACTUATED,
+            kinds.TRAFFICLIGHT_TYPE_DELAYBASED,
+        )
         coordinated = is_true(dict(logic.subParameter).get("coordinated", ""))
         # A coordinated program keeps step with its neighbours, and a request would put it out.
         if coordinated or not (actuated or logic.type == kinds.TRAFFICLIGHT_TYPE_STATIC):
             return None
         program, count = [], len(logic.phases)
         for number, phase in enumerate(logic.phases):
-            least_s, most_s = (phase.minDur, phase.maxDur) if actuated else (phase.duration, phase.duration)
+            least_s, most_s = (
+                (phase.minDur, phase.maxDur) if actuated else (phase.duration, phase.duration)
+            )
             following = tuple(k for k in phase.next if 0 <= k < count) or ((number + 1) % count,)
             shows = SignalState(tls_id=tls_id, colours=phase.state)
             fixed = most_s <= least_s and len(following) == 1
-            program.append(_Phase(shows=shows, least_s=float(least_s), following=following, fixed=fixed))
+            program.append(
+                _Phase(shows=shows, least_s=float(least_s), following=following, fixed=fixed)
+            )
         return tuple(program)

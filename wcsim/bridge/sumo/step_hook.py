@@ -1,8 +1,9 @@
-"""A user's own step hook: a class that gets the libsumo module and may run its own logic around every step of SUMO.
+"""A user's own step hook.
 
-SUMO has no wheelchairs, so the hook is told of them beside it: those of tick n, around the step that leads to n + 1. It
-is named `module:Class` on the user's own command line, and nowhere else: a town that somebody else made cannot
-bring code along.
+A class that gets the libsumo module and may run its own logic around every step of SUMO. SUMO has
+no wheelchairs, so the hook is told of them beside it: those of tick n, around the step that leads
+to n + 1. It is named `module:Class` on the user's own command line, and nowhere else: a town that
+somebody else made cannot bring code along.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +19,10 @@ _MARK = "wcsim.step-hook"  # a parameter of the net, which a net that is loaded 
 
 
 def find_hook(name: str) -> type:
-    """The class that `module:Class` names. Raises HookError when there is none, or it has no method to call."""
+    """The class that `module:Class` names.
+
+    Raises HookError when there is none, or it has no method to call.
+    """
     kind = import_class(name, "step hook", HookError)
     if not any(callable(getattr(kind, method, None)) for method in _METHODS):
         raise HookError(
@@ -36,7 +40,9 @@ class HookChair:
     angle_deg: float  # as SUMO's: clockwise from north
     speed_mps: float  # ahead
     way_net_m: tuple[tuple[float, float], ...]  # from where it is to its destination
-    edges: tuple[str, ...]  # of that way, in SUMO's ids: pavements, walking areas, crossings; first where it is
+    edges: tuple[
+        str, ...
+    ]  # of that way, in SUMO's ids: pavements, walking areas, crossings; first where it is
     button_tls_id: str  # the traffic light whose button it has pressed and that is red; "" for none
 
 
@@ -64,7 +70,9 @@ class StepHook:
 
     def _run(self, what: str, call: Callable[..., Any], *arguments: object) -> Any:
         hook, before = f"step hook {self.name!r}", self._moment()
-        with wrap_user_code_errors(f"{hook} failed in {what}", "correct it, or run without --hook", HookError):
+        with wrap_user_code_errors(
+            f"{hook} failed in {what}", "correct it, or run without --hook", HookError
+        ):
             returned = call(*arguments)
         if self._moment() != before:
             raise HookError(
@@ -73,6 +81,12 @@ class StepHook:
         return returned
 
     def _moment(self) -> object:
-        """What no hook may change: SUMO's time, and the net's mark; False where no simulation is loaded."""
+        """What no hook may change: SUMO's time, and the net's mark.
+
+        False where no simulation is loaded.
+        """
         sumo = self._libsumo
-        return sumo.isLoaded() and (sumo.simulation.getTime(), sumo.simulation.getParameter("", _MARK))
+        return sumo.isLoaded() and (
+            sumo.simulation.getTime(),
+            sumo.simulation.getParameter("", _MARK),
+        )

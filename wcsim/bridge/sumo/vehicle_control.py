@@ -1,6 +1,7 @@
-"""Reads a vehicle's lanes from SUMO, and tells actors what to do; gives everything back when it is told so.
+"""Reads a vehicle's lanes from SUMO, and tells actors what to do.
 
-The session hands libsumo in: `bridge/sumo/session.py` stays the only file that loads it.
+Gives everything back when it is told so. The session hands libsumo in: `bridge/sumo/session.py`
+stays the only file that loads it.
 """
 
 import logging
@@ -14,7 +15,9 @@ from wcsim.core import frames
 
 log = logging.getLogger("wcsim.bridge.sumo.vehicle_control")
 
-_NO_DECEL_BOUND = ~4  # speed mode: everything but SUMO's bound on deceleration, which is the service brake
+_NO_DECEL_BOUND = (
+    ~4
+)  # speed mode: everything but SUMO's bound on deceleration, which is the service brake
 _ONLY_ORDERED = 512  # lane-change mode: none of SUMO's own, ordered ones only into gaps
 _ONLY_ORDERED_PUSHY = 256  # the same, but into any gap that is not a collision
 _LANE_HOLD_S = 1.0
@@ -22,13 +25,18 @@ _FURTHEST_LINKS = 12
 
 
 class VehicleControl:
-    """What the reaction asks and commands; implements `lanes.Roads`. Actors are named as in `ActorState.id`."""
+    """What the reaction asks and commands; implements `lanes.Roads`.
+
+    Actors are named as in `ActorState.id`.
+    """
 
     def __init__(self, libsumo: Any, origin_m: tuple[float, float]) -> None:
         self._api = libsumo
         self._origin_m = origin_m
         self._lanes: dict[str, LaneShape] = {}
-        self._modes: dict[str, tuple[int, int]] = {}  # speed and lane-change mode before the first order
+        self._modes: dict[
+            str, tuple[int, int]
+        ] = {}  # speed and lane-change mode before the first order
         self._sublanes: bool | None = None
 
     def forget(self) -> None:
@@ -43,7 +51,10 @@ class VehicleControl:
         return self._sublanes
 
     def on_lane(self, actor_id: str) -> OnLane | None:
-        """Where a vehicle is now; None when it is on no lane (teleported, gone), or stopped by its own plan."""
+        """Where a vehicle is now.
+
+        None when it is on no lane (teleported, gone), or stopped by its own plan.
+        """
         name, vehicle = actor_id.partition(":")[2], self._api.vehicle
         try:
             lane_id = vehicle.getLaneID(name)
@@ -58,14 +69,22 @@ class VehicleControl:
         """The lane of a vehicle and those that its route leads to, those inside junctions among them."""
         name = actor_id.partition(":")[2]
         lanes = self._through_junction(self._api.vehicle.getLaneID(name), "")
-        known_m = -float(self._api.vehicle.getLanePosition(name)) + sum(self.lane(lane).length_m for lane in lanes)
-        for target, *_, via, _state, _way, _length in self._api.vehicle.getNextLinks(name)[:_FURTHEST_LINKS]:
+        known_m = -float(self._api.vehicle.getLanePosition(name)) + sum(
+            self.lane(lane).length_m for lane in lanes
+        )
+        for target, *_, via, _state, _way, _length in self._api.vehicle.getNextLinks(name)[
+            :_FURTHEST_LINKS
+        ]:
             if known_m > ahead_m:
                 break
             # The way through a junction has brought it along already.
             if target in lanes:
                 continue
-            more = [lane for lane in (self._through_junction(via, target) if via else [target]) if lane not in lanes]
+            more = [
+                lane
+                for lane in (self._through_junction(via, target) if via else [target])
+                if lane not in lanes
+            ]
             lanes += more
             known_m += sum(self.lane(lane).length_m for lane in more)
         return tuple(lanes)
@@ -97,16 +116,25 @@ class VehicleControl:
         name, vehicle = actor_id.partition(":")[2], self._api.vehicle
         here = self.lane(vehicle.getLaneID(name))
         kind, need_m = vehicle.getVehicleClass(name), float(vehicle.getLanePosition(name)) + ahead_m
-        reach_m = {best[0]: best[1] for best in vehicle.getBestLanes(name)}  # from each lane's start, without a change
+        reach_m = {
+            best[0]: best[1] for best in vehicle.getBestLanes(name)
+        }  # from each lane's start, without a change
         beside = ((index, f"{here.edge_id}_{index}") for index in (here.index + 1, here.index - 1))
-        return tuple(index for index, lane in beside if reach_m.get(lane, 0.0) >= need_m and self._permits(lane, kind))
+        return tuple(
+            index
+            for index, lane in beside
+            if reach_m.get(lane, 0.0) >= need_m and self._permits(lane, kind)
+        )
 
     def brakes(self, actor_id: str) -> Brakes:
         """A vehicle's brakes."""
         name, vehicle = actor_id.partition(":")[2], self._api.vehicle
         service = float(vehicle.getDecel(name))
         # A vehicle type may name an emergency brake that is weaker than its service brake.
-        return Brakes(service_mps2=service, emergency_mps2=max(service, float(vehicle.getEmergencyDecel(name))))
+        return Brakes(
+            service_mps2=service,
+            emergency_mps2=max(service, float(vehicle.getEmergencyDecel(name))),
+        )
 
     def allowed_mps(self, actor_id: str) -> float:
         """The speed that a vehicle would drive on a free road."""
@@ -135,7 +163,10 @@ class VehicleControl:
         log.info("%s departed on top of a wheelchair and was removed", actor_id)
 
     def _drop_modes(self, actor_id: str) -> None:
-        """Forget the modes of who has left; a person may have the name of a vehicle that is still under orders."""
+        """Forget the modes of who has left.
+
+        A person may have the name of a vehicle that is still under orders.
+        """
         domain, _, name = actor_id.partition(":")
         if domain == "v":
             self._modes.pop(name, None)
@@ -145,11 +176,14 @@ class VehicleControl:
         modes = self._modes.get(name)
         if modes is None:
             # As they were before the first order, since a scenario may have set its own.
-            modes = self._modes[name] = (vehicle.getSpeedMode(name), vehicle.getLaneChangeMode(name))
+            modes = self._modes[name] = (
+                vehicle.getSpeedMode(name),
+                vehicle.getLaneChangeMode(name),
+            )
         speed_mode, lane_mode = modes
         if order.hard:
             speed_mode &= _NO_DECEL_BOUND
-        if order.keep_lane:
+        if order.stay_in_lane:
             lane_mode = _ONLY_ORDERED_PUSHY if order.pushy else _ONLY_ORDERED
         vehicle.setSpeed(name, order.speed_mps)
         if vehicle.getSpeedMode(name) != speed_mode:
@@ -160,7 +194,7 @@ class VehicleControl:
             vehicle.changeLane(name, order.lane_index, _LANE_HOLD_S)
         if order.aside_m is not None:
             vehicle.changeSublane(name, order.aside_m)
-        if order.speed_mps == LET_GO and not order.keep_lane:
+        if order.speed_mps == LET_GO and not order.stay_in_lane:
             del self._modes[name]
 
     def _through_junction(self, lane_id: str, target: str) -> list[str]:
