@@ -8,17 +8,14 @@ from types import TracebackType
 
 
 class Stopwatch:
-    """Adds up the time spent in each named stage, without that in stages inside of it.
-
-    Wall time, or another clock.
-    """
+    """Adds up the time spent in each named stage, without that in stages inside of it."""
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        """Measure wall time, or by another clock."""
         self._clock = clock
         self._spent_s: dict[str, float] = {}
-        self._inner_s: list[
-            float
-        ] = []  # of the stages that are open now, what stages inside of them took
+        # Of the stages that are open now: the time of the stages inside of them.
+        self._inner_s: list[float] = []
 
     def measure(self, stage: str) -> _Stage:
         """Count the time of the block that is entered with it for `stage`."""
@@ -32,7 +29,7 @@ class Stopwatch:
 
 
 class _Stage:
-    """One block; a class, since a generator would cost three times as much and a tick has dozens of them."""
+    """One block; a generator would cost three times as much, and a tick has dozens of them."""
 
     __slots__ = ("_clock", "_inner_s", "_spent_s", "_stage", "_start_s")
 

@@ -1,7 +1,7 @@
 """Whether a wheel is about to meet the edge of a kerb, or somebody the chair.
 
-If so, the physics takes finer steps. At 1.67 m/s a wheel is over a kerb of 20 mm within two steps of
-1/120 s, and what the chair feels comes out a third too small; a car of 8 m/s sinks 7 cm into a
+If so, the physics takes finer steps. At 1.67 m/s a wheel is over a kerb of 20 mm within two steps
+of 1/120 s, and what the chair feels comes out a third too small; a car of 8 m/s sinks 7 cm into a
 chair instead of 5. Everywhere else on a street such steps do as well as finer ones (docs/chair.md).
 """
 

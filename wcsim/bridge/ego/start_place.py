@@ -10,7 +10,7 @@ from wcsim.errors import ConfigError
 from wcsim.towns.walking.routes import Router
 from wcsim.types import F64, ActorState, Ground, Outline, PlantState, Route, StartSpec
 
-START_REACH_M = 200.0  # a fixed start or goal lies within this of a pavement
+_START_REACH_M = 200.0  # a fixed start or goal lies within this of a pavement
 
 _LOOK_AHEAD_M = 3.0
 
@@ -21,10 +21,10 @@ def check_in_town(start: StartSpec | None, router: Router) -> None:
     """Raise ConfigError for a fixed start from which there is no way anywhere."""
     for what, xy in () if start is None else (("start", start.p_W_m), ("goal", start.goal_W_m)):
         away_m = router.away_m(xy)
-        if not away_m <= START_REACH_M:
+        if not away_m <= _START_REACH_M:
             raise ConfigError(
                 f"{what} at {xy} m is {away_m:.0f} m from the nearest pavement; "
-                f"expected one of the town's places, at most {START_REACH_M:.0f} m away"
+                f"expected one of the town's places, at most {_START_REACH_M:.0f} m away"
             )
     if start is not None and not math.isfinite(start.yaw_rad):
         raise ConfigError(f"start with a heading of {start.yaw_rad} rad; expected a finite number")

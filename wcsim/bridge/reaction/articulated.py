@@ -15,13 +15,13 @@ import numpy as np
 from wcsim.core import frames
 from wcsim.types import F64, ActorKind, ActorLook, ActorState
 
-RIGID_M = {ActorKind.TRAM: 10.0, ActorKind.BUS: 15.5, ActorKind.TRUCK: 13.0}
+_RIGID_M = {ActorKind.TRAM: 10.0, ActorKind.BUS: 15.5, ActorKind.TRUCK: 13.0}
 """The longest that is one rigid piece, by kind; other kinds never bend."""
-CARRIAGE_M = 27.0  # a railway carriage; what is longer than two trams is a train of these
-TRAIN_FROM_M = 60.0
-TRACTOR_SHARE = 0.36
-STEP_M = 0.2  # the way is stored in steps of this length
-JUMP_M = 6.0  # SUMO has teleported it: the way before is no way
+_CARRIAGE_M = 27.0  # a railway carriage; what is longer than two trams is a train of these
+_TRAIN_FROM_M = 60.0
+_TRACTOR_SHARE = 0.36
+_STEP_M = 0.2  # the way is stored in steps of this length
+_JUMP_M = 6.0  # SUMO has teleported it: the way before is no way
 
 
 def piece_lengths(kind: ActorKind, length_m: float) -> tuple[float, ...]:
@@ -32,15 +32,15 @@ def piece_lengths(kind: ActorKind, length_m: float) -> tuple[float, ...]:
     >>> piece_lengths(ActorKind.CAR, 26.0)
     (26.0,)
     """
-    rigid_m = RIGID_M.get(kind, math.inf)
+    rigid_m = _RIGID_M.get(kind, math.inf)
     if length_m <= rigid_m:
         return (length_m,)
     if kind is ActorKind.TRUCK:
-        tractor_m = min(TRACTOR_SHARE * length_m, 7.0)
+        tractor_m = min(_TRACTOR_SHARE * length_m, 7.0)
         rest_m = length_m - tractor_m
         count = math.ceil(rest_m / rigid_m)
         return (tractor_m, *(rest_m / count,) * count)
-    count = math.ceil(length_m / (CARRIAGE_M if length_m > TRAIN_FROM_M else rigid_m))
+    count = math.ceil(length_m / (_CARRIAGE_M if length_m > _TRAIN_FROM_M else rigid_m))
     return (length_m / max(count, 2),) * max(count, 2)
 
 
@@ -55,7 +55,7 @@ class Articulation:
 
         A vehicle that was not near before is straight along SUMO's angle until it has moved on.
         """
-        long = {a.id: a for a in actors if a.size_lwh_m[0] > RIGID_M.get(a.kind, math.inf)}
+        long = {a.id: a for a in actors if a.size_lwh_m[0] > _RIGID_M.get(a.kind, math.inf)}
         # Only of who is near: the way of one that was out of sight would have a gap in it.
         self._ways = {name: self._way(actor) for name, actor in sorted(long.items())}
         if not long:
@@ -65,15 +65,15 @@ class Articulation:
     def _way(self, actor: ActorState) -> list[F64]:
         length_m = actor.size_lwh_m[0]
         front = frames.front_from_centre(actor.p_W_m, actor.yaw_rad, actor.pitch_rad, length_m)
-        rear = front - (length_m + STEP_M) * frames.forward_vector(actor.yaw_rad, actor.pitch_rad)
+        rear = front - (length_m + _STEP_M) * frames.forward_vector(actor.yaw_rad, actor.pitch_rad)
         way = self._ways.get(actor.id)
-        if way is None or math.dist(front[:2], way[0][:2]) > JUMP_M:
+        if way is None or math.dist(front[:2], way[0][:2]) > _JUMP_M:
             return [front, front, rear]
         # The newest place moves until it is a step ahead.
-        known = way if math.dist(front[:2], way[1][:2]) >= STEP_M else way[1:]
+        known = way if math.dist(front[:2], way[1][:2]) >= _STEP_M else way[1:]
         way = [front, *known]
         # What lies behind the rear is left out. An arc is longer than its chord.
-        needed_m, way_m = 0.5 * math.pi * length_m + 2 * STEP_M, 0.0
+        needed_m, way_m = 0.5 * math.pi * length_m + 2 * _STEP_M, 0.0
         for i, (a, b) in enumerate(pairwise(way)):
             way_m += math.dist(a, b)
             if way_m > needed_m:

@@ -15,26 +15,26 @@ from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F64, I32, ActorState
 
 ROOM_M = 0.6  # free width beside a vehicle's own that lets it pass
-EDGE_M = 0.1  # of it, kept to the lane's edge
-WIDEST_M = 1.0  # more than this is not left beside the wheelchair
-LONGEST_LOOK_S = 3.0  # how far ahead others foresee where a chair will be
+_EDGE_M = 0.1  # of it, kept to the lane's edge
+_WIDEST_M = 1.0  # more than this is not left beside the wheelchair
+_LONGEST_LOOK_S = 3.0  # how far ahead others foresee where a chair will be
 
 STOP_SHORT_M = 2.0  # drivers stop this far before a chair
 LAST_GAP_M = 0.5  # an emergency brake may leave only this
 # Never nearer sideways; and nearer than the second only when alongside already.
 NO_TOUCH_M, SIDE_GAP_M = 0.1, 0.4
 # Passing a chair nearer than the first (m), a vehicle is no faster than the second (m/s).
-SLOW_PASS = (0.8, 3.0), (1.4, 8.0)
-LANE_GAP_M = 3.2  # who is this near sideways does not change lanes before a chair
-ON_ROAD_M = np.array([NO_TOUCH_M, SIDE_GAP_M, *(gap for gap, _ in SLOW_PASS), LANE_GAP_M])
+_SLOW_PASS = (0.8, 3.0), (1.4, 8.0)
+_LANE_GAP_M = 3.2  # who is this near sideways does not change lanes before a chair
+ON_ROAD_M = np.array([NO_TOUCH_M, SIDE_GAP_M, *(gap for gap, _ in _SLOW_PASS), _LANE_GAP_M])
 ON_PAVEMENT_M = np.array([0.5 * NO_TOUCH_M, NO_TOUCH_M])
-SLOW_CHAIR_MPS = 2.0  # a chair that is faster, or that moves across, is not passed
-DRIFTING_MPS = 0.3
+_SLOW_CHAIR_MPS = 2.0  # a chair that is faster, or that moves across, is not passed
+_DRIFTING_MPS = 0.3
 # Going before a chair that comes across takes this much time to spare, unless it would take a
 # harder brake to let it go first.
-SOONER_S = 0.5
-HARD_MPS2 = 6.0
-MOST_SKEW_RAD = 0.6
+_SOONER_S = 0.5
+_HARD_MPS2 = 6.0
+_MOST_SKEW_RAD = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,10 +55,10 @@ class SweptOverlap:
         places = []
         left_room, right_room = edge_m - self.left_m, self.right_m + edge_m
         if left_room >= width_m + ROOM_M:
-            gap_m = min(WIDEST_M, left_room - width_m - EDGE_M)
+            gap_m = min(_WIDEST_M, left_room - width_m - _EDGE_M)
             places.append(self.left_m + gap_m + 0.5 * width_m)
         if right_room >= width_m + ROOM_M:
-            gap_m = min(WIDEST_M, right_room - width_m - EDGE_M)
+            gap_m = min(_WIDEST_M, right_room - width_m - _EDGE_M)
             places.append(self.right_m - gap_m - 0.5 * width_m)
         # The sort is stable: of two places equally near the one left of the chair is first.
         return tuple(sorted(places, key=abs))
@@ -102,7 +102,7 @@ class ConflictCheck:
         """Tangent of the angle between body and line: changing lanes, the tail drags behind."""
         _, _, cos, sin = self._here
         turned_rad = self.actor.yaw_rad - math.atan2(sin, cos)
-        return math.tan(max(-MOST_SKEW_RAD, min(MOST_SKEW_RAD, frames.wrap_angle(turned_rad))))
+        return math.tan(max(-_MOST_SKEW_RAD, min(_MOST_SKEW_RAD, frames.wrap_angle(turned_rad))))
 
     def touch(self, left_m: float, gaps_m: F64, straight: bool = False) -> SweptOverlap:
         """Where its way touches the chair, `left_m` left of the middle of its lane."""
@@ -113,11 +113,11 @@ class ConflictCheck:
         pace = (self.front_m - self.tube.first_m) / STEP_M, STEP_M / max(self.speed_mps, 0.5)
         body = 0.5 * long_m, 0.5 * width_m, left_m, 0.0 if straight else self.skew
         span = max(0, self.now), last
-        careful = _first_touches(self.tube.poses, span, body, gaps_m, self.row, pace, SOONER_S)
+        careful = _first_touches(self.tube.poses, span, body, gaps_m, self.row, pace, _SOONER_S)
         # With time to spare only while there is room to brake, or nothing to brake for. Who cannot
         # stop may still have left in time.
         at = careful.at[1]
-        can_stop = at < 0 or self.speed_mps**2 <= 2.0 * HARD_MPS2 * self.distance_m(at)
+        can_stop = at < 0 or self.speed_mps**2 <= 2.0 * _HARD_MPS2 * self.distance_m(at)
         if self._stands or can_stop:
             return careful
         return _first_touches(self.tube.poses, span, body, gaps_m, self.row, pace)
@@ -138,7 +138,7 @@ class ConflictCheck:
                 goes_on_mps = max(0.0, float(self.row[6] * cos + self.row[7] * sin))
             room_m = self.distance_m(at) - (0.0 if alongside else STOP_SHORT_M)
             limit_mps = approach_mps(room_m, brake_mps2, tick_s, goes_on_mps)
-        for (_, pace_mps), at in zip(SLOW_PASS, touch.at[2:4], strict=False):
+        for (_, pace_mps), at in zip(_SLOW_PASS, touch.at[2:4], strict=False):
             if at >= 0 and self.passable(at):
                 slow_mps = approach_mps(self.distance_m(at), brake_mps2, tick_s, pace_mps)
                 limit_mps = min(limit_mps, slow_mps)
@@ -150,7 +150,9 @@ class ConflictCheck:
             return True
         vx, vy = self.row[6:].tolist()
         _, _, cos, sin = self._pose(at)
-        return bool(math.hypot(vx, vy) < SLOW_CHAIR_MPS and abs(vy * cos - vx * sin) < DRIFTING_MPS)
+        return bool(
+            math.hypot(vx, vy) < _SLOW_CHAIR_MPS and abs(vy * cos - vx * sin) < _DRIFTING_MPS
+        )
 
 
 def look_m(speed_mps: float, brake_mps2: float) -> float:
@@ -233,12 +235,14 @@ def _first_touching_poses(
     missing = len(gaps_m)
     reach = long + wide + gaps_m[-1] + chair[4] + chair[5] + abs(left_m) + 2.0 * long * abs(skew)
     if moving:
-        reach += LONGEST_LOOK_S * math.hypot(chair[6], chair[7])
+        reach += _LONGEST_LOOK_S * math.hypot(chair[6], chair[7])
     for i in range(first, last):
         cos, sin = poses[i, 2], poses[i, 3]
         if (poses[i, 0] - chair[0]) ** 2 + (poses[i, 1] - chair[1]) ** 2 > reach * reach:
             continue
-        until_s = min(max(0.0, (i - now) * pose_s) + sooner_s, LONGEST_LOOK_S) if i > first else 0.0
+        until_s = (
+            min(max(0.0, (i - now) * pose_s) + sooner_s, _LONGEST_LOOK_S) if i > first else 0.0
+        )
         # What is left of the skew.
         still = skew * math.exp(-0.5 * STEP_M * max(0.0, i - now) / long)
         for view in range(views):

@@ -9,12 +9,12 @@ from wcsim.bridge.reaction.commands import ChairInStreet
 from wcsim.core.boxes import Box, box_from_actor
 from wcsim.types import F64, ActorState
 
-CROWD_M = 7.0  # people this near a chair are looked at
+_CROWD_M = 7.0  # people this near a chair are looked at
 PEOPLE_AHEAD_M = 2.5
-NEAR_VEHICLE_M = 4.0
-MOVES_M = 3.0  # more than anybody's offset changes within a tick
+_NEAR_VEHICLE_M = 4.0
+_MOVES_M = 3.0  # more than anybody's offset changes within a tick
 SWEEP_S = 1.5  # people beside a moving vehicle mind where it will be for so long
-MOVING_MPS = 0.1
+_MOVING_MPS = 0.1
 
 Offsets = Mapping[str, tuple[float, float]]
 
@@ -82,12 +82,12 @@ def crowd_of(
         x, y, _ = actor.p_W_m.tolist()
         chair_m = min([math.hypot(x - px, y - py) for px, py in places], default=math.inf)
         offset = offsets.get(actor.id)
-        if chair_m > CROWD_M and offset is None:
+        if chair_m > _CROWD_M and offset is None:
             others.append((actor, chair_m))
             continue
         walker = _walker(actor, offset or (0.0, 0.0), shifted, chair_m)
         crowd.append(walker)
-        if offset is not None and chair_m > CROWD_M - PEOPLE_AHEAD_M:
+        if offset is not None and chair_m > _CROWD_M - PEOPLE_AHEAD_M:
             far.append(walker.at)
     if not far:
         return crowd
@@ -128,9 +128,9 @@ def vehicles_near(actors: Sequence[ActorState], crowd: Sequence[Walker]) -> list
         if actor.is_person:
             continue
         x, y, _ = actor.p_W_m.tolist()
-        reach_m = actor.size_lwh_m[0] + NEAR_VEHICLE_M
+        reach_m = actor.size_lwh_m[0] + _NEAR_VEHICLE_M
         vx, vy, _ = actor.v_W_mps.tolist()
-        wide_m = reach_m + MOVES_M + SWEEP_S * (abs(vx) + abs(vy))
+        wide_m = reach_m + _MOVES_M + SWEEP_S * (abs(vx) + abs(vy))
         if not any([abs(x - wx) + abs(y - wy) < wide_m for wx, wy in places]):
             continue
         speed_mps = math.hypot(vx, vy)
@@ -138,7 +138,7 @@ def vehicles_near(actors: Sequence[ActorState], crowd: Sequence[Walker]) -> list
         box = x, y, cos, sin, long_m, half_wide_m = box_from_actor(actor)
         half_m = 0.5 * SWEEP_S * speed_mps
         sweep = x + half_m * cos, y + half_m * sin, cos, sin, long_m + half_m, half_wide_m
-        is_moving = speed_mps > MOVING_MPS
+        is_moving = speed_mps > _MOVING_MPS
         found.append(Vehicle(reach_m=reach_m + 2.0 * half_m, box=box, sweep=sweep, moves=is_moving))
     return found
 

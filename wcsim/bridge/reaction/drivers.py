@@ -47,23 +47,23 @@ from wcsim.core.boxes import box_from_actor, boxes_touch
 from wcsim.types import F64, ActorKind, ActorState
 
 # How fast a vehicle moves over, and what it needs to begin.
-ASIDE_MPS, ASIDE_START_S = 0.8, 0.5
-CREEP_MPS = 1.0
+_ASIDE_MPS, _ASIDE_START_S = 0.8, 0.5
+_CREEP_MPS = 1.0
 # Who still has to move over creeps no faster near a chair: the tail follows only as it drives on.
-SIDLE_MPS = 0.2
+_SIDLE_MPS = 0.2
 # Who has waited long drives by at this pace where its body is clear, with less than the usual gap.
-SQUEEZE_MPS = 0.8
-STRADDLE_M = 0.1
-THERE_M = 0.05  # so near to the place where it wants to be a vehicle is there
-LEAST_ASIDE_M = 0.02  # a smaller shift is no command
+_SQUEEZE_MPS = 0.8
+_STRADDLE_M = 0.1
+_THERE_M = 0.05  # so near to the place where it wants to be a vehicle is there
+_LEAST_ASIDE_M = 0.02  # a smaller shift is no command
 # Of its length that a vehicle keeps free before it, to steer out into the next lane.
-STEER_SHARE = 1.0
-ENTERED_M = 0.5
-LANE_CHANGE_S = 3.0
-IMPATIENT_S = 8.0  # after so long a wait a driver takes smaller gaps in the next lane
-RAIL = (ActorKind.TRAM,)
-BRAKE_MPS2 = 4.5  # deceleration that drivers and cyclists plan with, at most
-COMFORT_SHARE = 0.6  # of the brakes that a driver plans with
+_STEER_SHARE = 1.0
+_ENTERED_M = 0.5
+_LANE_CHANGE_S = 3.0
+_IMPATIENT_S = 8.0  # after so long a wait a driver takes smaller gaps in the next lane
+_RAIL = (ActorKind.TRAM,)
+_BRAKE_MPS2 = 4.5  # deceleration that drivers and cyclists plan with, at most
+_COMFORT_SHARE = 0.6  # of the brakes that a driver plans with
 
 
 # As the other tuples here, made in every tick: a frozen dataclass costs twice as much.
@@ -95,7 +95,7 @@ class _Encounter(NamedTuple):
         It does on the way from one lane to the next.
         """
         reach_m = abs(self.place.left_m) + 0.5 * self.check.actor.size_lwh_m[1]
-        return reach_m > 0.5 * self.here.width_m + STRADDLE_M
+        return reach_m > 0.5 * self.here.width_m + _STRADDLE_M
 
 
 class _Passing(NamedTuple):
@@ -141,7 +141,7 @@ class _WaitingTimes(NamedTuple):
     @property
     def pushy(self) -> bool:
         """Whether the driver takes smaller gaps in the next lane by now."""
-        return self.waits_s > IMPATIENT_S
+        return self.waits_s > _IMPATIENT_S
 
 
 class _Watch(NamedTuple):
@@ -195,7 +195,7 @@ class StreetReaction:
             x, y, _ = led.p_W_m.tolist()
             vx, vy, _ = led.v_W_mps.tolist()
             length_m = led.size_lwh_m[0]
-            reach_m = look_m(math.hypot(vx, vy), BRAKE_MPS2) + length_m + 4.0
+            reach_m = look_m(math.hypot(vx, vy), _BRAKE_MPS2) + length_m + 4.0
             cos, sin = math.cos(led.yaw_rad), math.sin(led.yaw_rad)
             near = [
                 i
@@ -327,7 +327,7 @@ class StreetReaction:
         its way, by its habits towards them.
         """
         here, tick_s = roads.lane(place.lane_id), self._config.tick_s
-        brake_mps2 = COMFORT_SHARE * min(BRAKE_MPS2, watch.brakes.service_mps2)
+        brake_mps2 = _COMFORT_SHARE * min(_BRAKE_MPS2, watch.brakes.service_mps2)
         detected: _DriverPlan | None = None
         early, toward = _DriverPlan(), watch.toward
         seen_s: dict[AttentionModel, float] = {}
@@ -423,7 +423,7 @@ def _too_near_to_change_lanes(it: _Encounter) -> bool:
     """Whether SUMO may start no lane change here: it moves even a vehicle that stands."""
     speed_mps = it.check.speed_mps
     braking_m = 0.7 * speed_mps + 0.25 * speed_mps**2
-    least_m = max(3.0 + braking_m, 2.0 * STOP_SHORT_M + it.length_m + LANE_CHANGE_S * speed_mps)
+    least_m = max(3.0 + braking_m, 2.0 * STOP_SHORT_M + it.length_m + _LANE_CHANGE_S * speed_mps)
     return it.on_road and it.check.distance_m(it.touch.at[-1]) < least_m
 
 
@@ -432,7 +432,7 @@ def _passing_mps(it: _Encounter, passing: _Passing, limit_mps: float) -> float:
 
     While it moves over it brakes, but no harder than is comfortable.
     """
-    moves_over = passing.aside_m is not None and abs(passing.aside_m) > THERE_M
+    moves_over = passing.aside_m is not None and abs(passing.aside_m) > _THERE_M
     if it.ahead and passing.speed_mps > 0.0 and moves_over:
         limit_mps = min(limit_mps, it.check.speed_mps - it.brake_mps2 * it.tick_s)
     return max(limit_mps, passing.speed_mps)
@@ -440,7 +440,7 @@ def _passing_mps(it: _Encounter, passing: _Passing, limit_mps: float) -> float:
 
 def _room_to_pass(it: _Encounter, distance_m: float, roads: Roads) -> _Passing:
     """The way round a chair that stands or rolls along: within the lane, else by the next."""
-    if it.check.actor.kind in RAIL or not it.check.passable(it.touch.at[1]):
+    if it.check.actor.kind in _RAIL or not it.check.passable(it.touch.at[1]):
         return _Passing()
     lane = roads.lane(it.check.tube.lane_at(it.check.front_of(it.touch.at[1])))
     within = _passing_in_lane(it, distance_m, lane.width_m) if roads.sublanes else None
@@ -462,7 +462,7 @@ def _passing_in_lane(it: _Encounter, distance_m: float, lane_width_m: float) -> 
         if past.at[0] >= 0 or past_mps <= 0.0:
             continue
         aside_m = left_m - it.place.left_m
-        there = abs(aside_m) < THERE_M
+        there = abs(aside_m) < _THERE_M
         room_m = it.check.distance_m(it.touch.at[0]) if it.touch.at[0] >= 0 else math.inf
         # It is skewed, and has no room to straighten.
         if there and room_m <= LAST_GAP_M:
@@ -473,10 +473,10 @@ def _passing_in_lane(it: _Encounter, distance_m: float, lane_width_m: float) -> 
 
 def _shift_mps(aside_m: float, distance_m: float) -> float:
     """The speed at which a vehicle has moved over in time, before it comes to the chair."""
-    creep_mps = SIDLE_MPS if distance_m > LAST_GAP_M else 0.0
-    if abs(aside_m) < THERE_M:
-        creep_mps = CREEP_MPS
-    need_s = ASIDE_START_S + abs(aside_m) / ASIDE_MPS
+    creep_mps = _SIDLE_MPS if distance_m > LAST_GAP_M else 0.0
+    if abs(aside_m) < _THERE_M:
+        creep_mps = _CREEP_MPS
+    need_s = _ASIDE_START_S + abs(aside_m) / _ASIDE_MPS
     return max(creep_mps, 0.8 * (distance_m - STOP_SHORT_M) / need_s)
 
 
@@ -504,7 +504,7 @@ def _steering_out(
     lane_index = resumed if requested is None else requested
     if lane_index is None and not steers:
         return _Steering()
-    room_m = max(enters_m, distance_m - STOP_SHORT_M - STEER_SHARE * it.length_m)
+    room_m = max(enters_m, distance_m - STOP_SHORT_M - _STEER_SHARE * it.length_m)
     limit_mps = approach_mps(room_m, it.brake_mps2, it.tick_s)
     return _Steering(lane_index=lane_index, limit_mps=limit_mps, resumed=resumed is not None)
 
@@ -517,7 +517,7 @@ def _junction_left_m(it: _Encounter, roads: Roads) -> float:
     lane_id = it.check.tube.lane_at(it.check.front_of(max(it.touch.at[1], 0)))
     if not it.here.internal or roads.lane(lane_id).internal:
         return 0.0
-    return max(0.0, it.check.tube.start_m[lane_id][0] + ENTERED_M - it.check.front_m)
+    return max(0.0, it.check.tube.start_m[lane_id][0] + _ENTERED_M - it.check.front_m)
 
 
 def _resumed_lane(it: _Encounter, toward: tuple[str, int] | None) -> int | None:
@@ -538,22 +538,24 @@ def _narrow_gap_mps(it: _Encounter, at: int) -> float | None:
     if not (it.on_road and clears and it.check.passable(at)):
         return None
     if touches < 0:
-        return SQUEEZE_MPS
+        return _SQUEEZE_MPS
     room_m = it.check.distance_m(touches) - LAST_GAP_M
-    return min(SQUEEZE_MPS, approach_mps(room_m, it.brake_mps2, it.tick_s))
+    return min(_SQUEEZE_MPS, approach_mps(room_m, it.brake_mps2, it.tick_s))
 
 
 def _waited(
     before: _WaitingTimes, plan: _DriverPlan, speed_mps: float, tick_s: float
 ) -> _WaitingTimes:
     """How long a driver has waited when this tick is counted too."""
-    stands = speed_mps < 0.1 and plan.limit_mps <= SIDLE_MPS and plan.nearest_m < 3.0 * STOP_SHORT_M
-    waits = plan.could_pass and speed_mps < CREEP_MPS
+    stands = (
+        speed_mps < 0.1 and plan.limit_mps <= _SIDLE_MPS and plan.nearest_m < 3.0 * STOP_SHORT_M
+    )
+    waits = plan.could_pass and speed_mps < _CREEP_MPS
     stands_s = before.stands_s + tick_s if stands else 0.0
     return _WaitingTimes(
         stands_s=stands_s,
         waits_s=before.waits_s + tick_s if waits else 0.0,
-        squeezes=before.squeezes or stands_s > IMPATIENT_S,
+        squeezes=before.squeezes or stands_s > _IMPATIENT_S,
     )
 
 
@@ -586,7 +588,7 @@ def _command(
     moves = plan.stay_in_lane or aside_m is not None or plan.lane_index is not None
     if speed[0] == LET_GO and not moves:
         return None
-    if aside_m is not None and abs(aside_m) <= LEAST_ASIDE_M:
+    if aside_m is not None and abs(aside_m) <= _LEAST_ASIDE_M:
         aside_m = None
     stays = moved_over and aside_m is None and plan.lane_index is None
     return ActorCommand(

@@ -38,36 +38,36 @@ from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import U8, ActorState, ClassId, Ground, StreetGrid
 
 # Walking round
-LOOK_AHEAD_M = 4.0
-FURTHEST_M = 2.0  # from one's own line
-FOREGO_RIGHT_M = 0.2  # how much shorter the way on the left must be
+_LOOK_AHEAD_M = 4.0
+_FURTHEST_M = 2.0  # from one's own line
+_FOREGO_RIGHT_M = 0.2  # how much shorter the way on the left must be
 # A metre off one's own line counts as this much walking across: who can go back does.
-BACK_PULL = 1.2
+_BACK_PULL = 1.2
 # Near before far, and right before left, as people keep to the right.
-BEGIN_BESIDE_M = (-0.6, 0.6, -1.0, 1.0, -1.5, 1.5)
+_BEGIN_BESIDE_M = (-0.6, 0.6, -1.0, 1.0, -1.5, 1.5)
 
 # Gaps to bodies
 CHAIR_GAP_M = 0.25  # beside a chair
-TIGHT_GAP_M = 0.08  # beside a chair, after PATIENCE_S without a way past it
+_TIGHT_GAP_M = 0.08  # beside a chair, after _PATIENCE_S without a way past it
 # At this nobody steps nearer to a chair. It is less than the gap of those who squeeze past.
-LEAST_CHAIR_GAP_M = 0.5 * TIGHT_GAP_M
+_LEAST_CHAIR_GAP_M = 0.5 * _TIGHT_GAP_M
 PERSON_GAP_M = 0.12  # from a way round to people and vehicles
-TIGHT_PERSON_GAP_M = 0.07  # to people, after PATIENCE_S
-BRUSH_M = 0.06  # nearer than this one stands, and does not step
-BEHIND_M = 0.2  # clear of a chair's rear before one steps back
+_TIGHT_PERSON_GAP_M = 0.07  # to people, after _PATIENCE_S
+_BRUSH_M = 0.06  # nearer than this one stands, and does not step
+_BEHIND_M = 0.2  # clear of a chair's rear before one steps back
 # Who walks ahead at nearly the same pace is not in the way until it is so close.
-SAME_WAY_AHEAD_M = 0.3
+_SAME_WAY_AHEAD_M = 0.3
 
 # Standing
-STOP_SHORT_M = 0.45
-PATIENCE_S = 3.0
-FASTEST_MPS = 1.6  # a walker that stands may be this fast at the next tick
+_STOP_SHORT_M = 0.45
+_PATIENCE_S = 3.0
+_FASTEST_MPS = 1.6  # a walker that stands may be this fast at the next tick
 
 # Ground
 SOLID_GAP_M = 0.3
 SHOULDER = 0.8  # of a body's radius stays over walkable ground
-EVERY_M = 0.5  # the way ahead is looked at in steps of so much
-ACROSS = 5  # places looked at on the way across
+_EVERY_M = 0.5  # the way ahead is looked at in steps of so much
+_ACROSS = 5  # places looked at on the way across
 # Plain numbers, which a kernel can read.
 _SIDEWALK, _CROSSWALK = int(ClassId.SIDEWALK), int(ClassId.CROSSWALK)
 _TERRAIN, _GROUND, _PARKING = int(ClassId.TERRAIN), int(ClassId.GROUND), int(ClassId.PARKING)
@@ -209,14 +209,14 @@ class PedestrianAvoidance:
     def _held_by(self, walker: Walker, others: _Others) -> str | None:
         """What a step ahead would hit: CHAIR, VEHICLE, somebody's id; None for nothing."""
         x, y = walker.at
-        reach_m = max(FASTEST_MPS, 1.3 * walker.speed_mps) * self._tick_s
+        reach_m = max(_FASTEST_MPS, 1.3 * walker.speed_mps) * self._tick_s
         nx, ny = x + reach_m * walker.cos, y + reach_m * walker.sin
 
         # 1. Chairs. Only a step that leads nearer is held up: who is too near already may leave.
         for box in _boxes_in_sight(others.chairs, walker):
             gap_m = gap_to_box(nx, ny, *box) - walker.radius_m
-            if gap_m < STOP_SHORT_M and gap_m < gap_to_box(x, y, *box) - walker.radius_m:
-                heading, side_m = (walker.cos, walker.sin), walker.radius_m + LEAST_CHAIR_GAP_M
+            if gap_m < _STOP_SHORT_M and gap_m < gap_to_box(x, y, *box) - walker.radius_m:
+                heading, side_m = (walker.cos, walker.sin), walker.radius_m + _LEAST_CHAIR_GAP_M
                 if _block_around(x, y, *heading, box, side_m, walker.radius_m).blocks(0.0):
                     return CHAIR
 
@@ -226,7 +226,7 @@ class PedestrianAvoidance:
                 continue
             ax, ay = other.at
             near_m = math.hypot(nx - ax, ny - ay)
-            apart_m = walker.radius_m + other.radius_m + BRUSH_M
+            apart_m = walker.radius_m + other.radius_m + _BRUSH_M
             if near_m < apart_m and near_m < math.hypot(x - ax, y - ay):
                 return other.id
 
@@ -235,7 +235,7 @@ class PedestrianAvoidance:
             return None
         for vehicle in near(others.vehicles, x, y):
             if gap_to_box(walker.x, walker.y, *vehicle.box) > 0.0:
-                most_m = min(walker.radius_m + BRUSH_M, gap_to_box(x, y, *vehicle.box))
+                most_m = min(walker.radius_m + _BRUSH_M, gap_to_box(x, y, *vehicle.box))
                 if gap_to_box(nx, ny, *vehicle.box) < most_m:
                     return VEHICLE
         return None
@@ -243,7 +243,7 @@ class PedestrianAvoidance:
     def _undo_jump(self, walker: Walker, others: _Others) -> None:
         """Bring a person back whom SUMO has put into somebody that it does not see there."""
         before = self._places.get(walker.id)
-        jumped = before is not None and math.dist(before, walker.at) > FURTHEST_M
+        jumped = before is not None and math.dist(before, walker.at) > _FURTHEST_M
         if jumped:
             walker.ox = walker.oy = 0.0
 
@@ -259,7 +259,7 @@ class PedestrianAvoidance:
             return
         if not self._overlaps(walker, walker.at, others):
             return
-        for left_m in BEGIN_BESIDE_M:
+        for left_m in _BEGIN_BESIDE_M:
             walker.ox, walker.oy = -left_m * walker.sin, left_m * walker.cos
             if not self._overlaps(walker, walker.at, others) and self._walkable(walker, *walker.at):
                 return
@@ -285,17 +285,17 @@ class PedestrianAvoidance:
     def _desired_left_m(self, walker: Walker, others: _Others) -> float:
         """How far left of its line this person would like to be now."""
         now_m = walker.left_m
-        waited = self._standing_s.get(walker.id, 0.0) > PATIENCE_S
+        waited = self._standing_s.get(walker.id, 0.0) > _PATIENCE_S
 
         # 1. Who has nothing in its way stays on its line.
-        side_m = walker.radius_m + (TIGHT_GAP_M if waited else CHAIR_GAP_M)
+        side_m = walker.radius_m + (_TIGHT_GAP_M if waited else CHAIR_GAP_M)
         place = walker.x, walker.y, walker.cos, walker.sin
         seen = [
-            _block_around(*place, box, side_m, walker.radius_m + BEHIND_M)
+            _block_around(*place, box, side_m, walker.radius_m + _BEHIND_M)
             for box in _boxes_in_sight(others.chairs, walker)
         ]
-        chairs = [each for each in seen if each.far_m > 0.0 and each.near_m < LOOK_AHEAD_M]
-        gap_m = TIGHT_PERSON_GAP_M if waited else PERSON_GAP_M
+        chairs = [each for each in seen if each.far_m > 0.0 and each.near_m < _LOOK_AHEAD_M]
+        gap_m = _TIGHT_PERSON_GAP_M if waited else PERSON_GAP_M
         people = self._people_in_way(walker, others.crowd, gap_m)
         if not walker.aside and not any([block.blocks(0.0) for block in (*chairs, *people)]):
             self._stuck.discard(walker.id)
@@ -304,7 +304,9 @@ class PedestrianAvoidance:
         # 2. Who leaves it takes the nearest way past all of them, and past vehicles beside.
         standing, driving = _vehicles_beside(walker, others.vehicles)
         bodies = (*people, *standing, *driving)
-        ahead_m = max((min(block.far_m, LOOK_AHEAD_M) for block in (*chairs, *bodies)), default=0.0)
+        ahead_m = max(
+            (min(block.far_m, _LOOK_AHEAD_M) for block in (*chairs, *bodies)), default=0.0
+        )
         past_m = self._way_round(walker, (*chairs, *bodies), ahead_m)
         if past_m is not None:
             self._stuck.discard(walker.id)
@@ -342,7 +344,7 @@ class PedestrianAvoidance:
                 dy * walker.cos - dx * walker.sin,
                 walker.radius_m + other.radius_m + gap_m,
             )
-            look_m = SAME_WAY_AHEAD_M if same_way else PEOPLE_AHEAD_M
+            look_m = _SAME_WAY_AHEAD_M if same_way else PEOPLE_AHEAD_M
             if block.far_m > 0.0 and block.near_m < look_m:
                 found.append(block)
         return found
@@ -378,11 +380,11 @@ class PedestrianAvoidance:
                 continue
             ax, ay = other.at
             near_m = math.hypot(nx - ax, ny - ay)
-            apart_m = walker.radius_m + other.radius_m + BRUSH_M
+            apart_m = walker.radius_m + other.radius_m + _BRUSH_M
             if near_m < apart_m and near_m < math.hypot(x - ax, y - ay):
                 return
-        bodies = [(chair.box, LEAST_CHAIR_GAP_M) for chair in others.chairs]
-        bodies += [(vehicle.box, BRUSH_M) for vehicle in near(others.vehicles, x, y)]
+        bodies = [(chair.box, _LEAST_CHAIR_GAP_M) for chair in others.chairs]
+        bodies += [(vehicle.box, _BRUSH_M) for vehicle in near(others.vehicles, x, y)]
         for box, gap_m in bodies:
             near_m = gap_to_box(nx, ny, *box)
             if near_m < walker.radius_m + gap_m and near_m < gap_to_box(x, y, *box):
@@ -479,15 +481,15 @@ def _ways_round(blocks: Sequence[_Block], now_m: float) -> Iterable[float]:
     """
 
     def cost_m(left_m: float) -> float:
-        away_m = 0.0 if math.isclose(left_m, 0.0) else BACK_PULL * abs(left_m)
-        forego_m = FOREGO_RIGHT_M if left_m > max(now_m, 0.0) + 1e-9 else 0.0
+        away_m = 0.0 if math.isclose(left_m, 0.0) else _BACK_PULL * abs(left_m)
+        forego_m = _FOREGO_RIGHT_M if left_m > max(now_m, 0.0) + 1e-9 else 0.0
         return abs(left_m - now_m) + away_m + forego_m
 
     ends = {end for block in blocks for end in (block.right_m, block.left_m)}
     free = {
         m
         for m in (0.0, now_m, *ends)
-        if abs(m) <= FURTHEST_M
+        if abs(m) <= _FURTHEST_M
         and not any(block.blocks(m) or block.parts(now_m, m) for block in blocks)
     }
     # Of ways that cost the same the one further to the right is first: it is the smaller number.
@@ -557,15 +559,15 @@ def _opens(
 ) -> bool:  # fmt: skip
     """See `_way_is_open`."""
     sx, sy = -side_m * sin, side_m * cos
-    steps = math.ceil(ahead_m / EVERY_M)
+    steps = math.ceil(ahead_m / _EVERY_M)
     for i in range(steps + 1):
         far_m = ahead_m * i / max(steps, 1)
         px, py = x + far_m * cos, y + far_m * sin
         if not _stands(classes, clearance_dm, first_x, first_y, cell_m, px, py, sx, sy):
             return False
     # The place that one has already is not looked at.
-    for i in range(1, ACROSS + 1):
-        t = i / ACROSS
+    for i in range(1, _ACROSS + 1):
+        t = i / _ACROSS
         px, py = (1.0 - t) * at_x + t * x, (1.0 - t) * at_y + t * y
         if not _stands(classes, clearance_dm, first_x, first_y, cell_m, px, py, sx, sy):
             return False

@@ -20,7 +20,7 @@ STEP_M = 0.5
 AHEAD_M = 70.0  # farther than anything brakes for a chair
 TAIL_M = 3.0  # of the way, behind the vehicle's tail
 # A way is laid out anew after so much of it, the second where it ends soon.
-FRESH_M, SHORT_M = 25.0, 5.0
+_FRESH_M, _SHORT_M = 25.0, 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -127,7 +127,7 @@ def way_ahead(actor: ActorState, place: OnLane, roads: Roads, old: Tube | None) 
         front_m = old.front_m(place)
         short = old.first_m + len(old.poses) * STEP_M - front_m < 0.5 * AHEAD_M
         moved_m = abs(front_m - old.first_m - TAIL_M)
-        if moved_m < (SHORT_M if short else FRESH_M) or roads.lane(place.lane_id).internal:
+        if moved_m < (_SHORT_M if short else _FRESH_M) or roads.lane(place.lane_id).internal:
             return old
     lanes = [roads.lane(name) for name in roads.lanes_ahead(actor.id, AHEAD_M)]
     heading = np.array([math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)])

@@ -28,19 +28,19 @@ STEP_M = 0.5  # places on the line
 # Between the offsets that are tried; from place to place they differ by one of these at most.
 SIDE_STEP_M = 0.2
 MOST_M = 3.0  # the furthest that a line is moved: no further than the next lane
-ALONG_M = 0.5  # the body is looked at in strips of so much, and `SIDE_STEP_M` across
-MARGIN_M = 0.05  # the body is looked at as if it were wider by so much on either side
-SMOOTH_M = 6.0  # the line's direction is that of a chord so far to either side
+_ALONG_M = 0.5  # the body is looked at in strips of so much, and `SIDE_STEP_M` across
+_MARGIN_M = 0.05  # the body is looked at as if it were wider by so much on either side
+_SMOOTH_M = 6.0  # the line's direction is that of a chord so far to either side
 # Of a square metre, of a metre squared, of a step sideways.
-OFF_COST, FAR_COST, STEER_COST = 20.0, 0.02, 0.02
-ROUNDS = 6  # the body turns with its line, so what it covers is reckoned anew so often
+_OFF_COST, _FAR_COST, _STEER_COST = 20.0, 0.02, 0.02
+_ROUNDS = 6  # the body turns with its line, so what it covers is reckoned anew so often
 LOW = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK, ClassId.PARKING, ClassId.VOID)
 _IS_LOW = np.isin(np.arange(256), [int(c) for c in LOW])
 _STATES = round(MOST_M / SIDE_STEP_M)
 
-LONG_M = 7.0  # what is shorter stays off the pavement by itself
-LINE_ERROR_M = 0.1  # between the line laid out ahead and where the body comes to run
-JUMP_M = 2.0  # SUMO has put it elsewhere when it is so much further than its speed leads it
+_LONG_M = 7.0  # what is shorter stays off the pavement by itself
+_LINE_ERROR_M = 0.1  # between the line laid out ahead and where the body comes to run
+_JUMP_M = 2.0  # SUMO has put it elsewhere when it is so much further than its speed leads it
 # Of the way it drives that a body is moved sideways at most, where its way has become another one.
 ASIDE_SHARE = 0.6
 
@@ -101,7 +101,7 @@ class SwingOut:
         driven: dict[str, _Driven] = {}
         found = []
         for actor in actors:
-            if actor.size_lwh_m[0] < LONG_M or actor.kind is ActorKind.TRAM or actor.is_person:
+            if actor.size_lwh_m[0] < _LONG_M or actor.kind is ActorKind.TRAM or actor.is_person:
                 found.append(actor)
                 continue
             now = driven[actor.id] = self._followed(actor, roads)
@@ -136,7 +136,7 @@ class SwingOut:
         return replace(
             actor,
             v_W_mps=known.speed_mps * frames.forward_vector(actor.yaw_rad, actor.pitch_rad),
-            size_lwh_m=(length_m, width_m + 2.0 * LINE_ERROR_M, height_m),
+            size_lwh_m=(length_m, width_m + 2.0 * _LINE_ERROR_M, height_m),
         )
 
     def line(self, actor: ActorState, tube: Tube) -> Tube:
@@ -169,7 +169,7 @@ class SwingOut:
             return replace(old, speed_mps=speed_mps)
         driven_m = 0.0 if old is None else math.dist(front_W_m, old.front_W_m)
         # After a jump of SUMO what it drove before says nothing of where it is.
-        if driven_m > speed_mps * self._tick_s + JUMP_M:
+        if driven_m > speed_mps * self._tick_s + _JUMP_M:
             old = None
         way, (ahead_m, behind_m), left = self._aside(actor, roads, old)
         # Onto another way by degrees.
@@ -251,12 +251,12 @@ def _offsets_m(line_W_m: F64, body_m: tuple[float, float], ground: Ground, held_
     behind = max(1, round(body_m[0] / STEP_M))
     if len(line_W_m) <= behind + 2:
         return found
-    wide_m, left = (body_m[0], body_m[1] + 2.0 * MARGIN_M), _normals(line_W_m)
+    wide_m, left = (body_m[0], body_m[1] + 2.0 * _MARGIN_M), _normals(line_W_m)
     # Most ways are wide enough: no line is searched where the middle of the lane will do.
     if not _covered_m2(line_W_m + found[:, None] * left, wide_m, ground).any():
         return found
     best, least = found, np.inf
-    for _ in range(ROUNDS + 1):
+    for _ in range(_ROUNDS + 1):
         moved = line_W_m + found[:, None] * left
         off_m2 = _covered(_profiles(moved, behind, wide_m, ground, _STATES), wide_m[1])
         now = float(off_m2[:, off_m2.shape[1] // 2].sum())
@@ -272,7 +272,7 @@ def _offsets_m(line_W_m: F64, body_m: tuple[float, float], ground: Ground, held_
 
 def _normals(line_W_m: F64) -> F64:
     """Unit vectors (n, 2) to the left of a line of places (n, 2), `STEP_M` apart, smoothed."""
-    reach = min(round(SMOOTH_M / STEP_M), max(len(line_W_m) - 1, 1))
+    reach = min(round(_SMOOTH_M / STEP_M), max(len(line_W_m) - 1, 1))
     at = np.arange(len(line_W_m))
     along = line_W_m[np.minimum(at + reach, at[-1])] - line_W_m[np.maximum(at - reach, 0)]
     along /= np.maximum(np.hypot(*along.T), 1e-9)[:, None]
@@ -315,7 +315,7 @@ def _fill(
     x: float, y: float, cos: float, sin: float, half_m: float,
 ) -> None:  # fmt: skip
     rows, cols = classes.shape
-    count = max(1, math.ceil(2.0 * half_m / ALONG_M))
+    count = max(1, math.ceil(2.0 * half_m / _ALONG_M))
     along_m = 2.0 * half_m / count
     middle = len(row) // 2
     for i in range(len(row)):
@@ -350,12 +350,12 @@ def _cheapest(off_m2: F64, now_m: F64, lag: int, held: int) -> F64:
     covers when it is moved on from `now_m`; its middle is `lag` places behind its front.
     """
     states = np.arange(-_STATES, _STATES + 1)
-    cost = np.tile(FAR_COST * (states * SIDE_STEP_M) ** 2, (len(now_m), 1))
+    cost = np.tile(_FAR_COST * (states * SIDE_STEP_M) ** 2, (len(now_m), 1))
     first = np.rint(now_m / SIDE_STEP_M).astype(np.int64)
     for pose, covered in enumerate(off_m2):
         place = pose + lag
         at = np.minimum(np.maximum(states - first[place] + _STATES, 0), 2 * _STATES)
-        cost[place] += OFF_COST * covered[at]
+        cost[place] += _OFF_COST * covered[at]
     for place in range(held):
         cost[place, states != first[place]] = np.inf
     chosen = (_path(cost, held) - _STATES) * SIDE_STEP_M
@@ -379,8 +379,8 @@ def _path(cost: F64, held: int) -> F64:
             best, step = total[state], 0
             for side in (-1, 1):
                 # Strictly cheaper: at a tie the line goes on as it is.
-                if 0 <= state + side < states and total[state + side] + STEER_COST < best:
-                    best, step = total[state + side] + STEER_COST, side
+                if 0 <= state + side < states and total[state + side] + _STEER_COST < best:
+                    best, step = total[state + side] + _STEER_COST, side
             # What was driven is what it was, however steep.
             if place < held and best == np.inf:
                 best = total.min()

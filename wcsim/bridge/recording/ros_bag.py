@@ -24,7 +24,7 @@ class RosBag(ClosingContextBase):
     """A new MCAP file; it appears when it is closed."""
 
     def __init__(self, path: Path) -> None:
-        """Begin a file. Raises ConfigError when the extra is not installed."""
+        """Start a file. Raises ConfigError when the extra is not installed."""
         check_installed("--mcap needs rosbags", "bag", "rosbags")
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
@@ -109,11 +109,10 @@ class RosBag(ClosingContextBase):
     def transform(
         self, time_s: float, frames: tuple[str, str], pose: tuple[F64, F64], fixed: bool = False
     ) -> None:
-        """tf2_msgs/TFMessage.
+        """tf2_msgs/TFMessage: place and quaternion of a frame in its parent.
 
-        The place and quaternion of a frame in its parent, on /tf_static where it is `fixed`. A
-        message of /tf_static repeats those before it: who comes late to a played bag gets the last
-        one alone.
+        It is on /tf_static where it is `fixed`. A message of /tf_static repeats those before it: a
+        late subscriber of a played bag gets the last one alone.
         """
         moved = self._made(
             "geometry_msgs/msg/Transform",
@@ -128,11 +127,14 @@ class RosBag(ClosingContextBase):
         )
         if fixed:
             self._fixed[frames[1]] = stamped
-        told = list(self._fixed.values()) if fixed else [stamped]
-        self._write(_STATIC if fixed else "/tf", "tf2_msgs/msg/TFMessage", time_s, transforms=told)
+        sent = list(self._fixed.values()) if fixed else [stamped]
+        self._write(_STATIC if fixed else "/tf", "tf2_msgs/msg/TFMessage", time_s, transforms=sent)
 
     def imu(self, topic: str, time_s: float, frame: str, q: F64, w: F64, a: F64) -> None:
-        """sensor_msgs/Imu: orientation (4,), angular velocity (3,), specific force (3,), gravity included."""
+        """sensor_msgs/Imu: orientation (4,), angular velocity (3,), specific force (3,).
+
+        The specific force has gravity in it.
+        """
         unknown = np.zeros(9)
         self._write(
             topic,
@@ -171,14 +173,8 @@ class RosBag(ClosingContextBase):
         """sensor_msgs/CameraInfo of an ideal camera of that width and height."""
         width, height = size_px
         cx, cy = 0.5 * width - 0.5, 0.5 * height - 0.5
-        roi = self._made(
-            "sensor_msgs/msg/RegionOfInterest",
-            x_offset=0,
-            y_offset=0,
-            height=0,
-            width=0,
-            do_rectify=False,
-        )
+        whole = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+        roi = self._made("sensor_msgs/msg/RegionOfInterest", **whole)
         self._write(
             topic,
             "sensor_msgs/msg/CameraInfo",
@@ -198,7 +194,7 @@ class RosBag(ClosingContextBase):
 
     def _write(self, topic: str, kind: str, stamp_s: float, **content: Any) -> None:
         if topic not in self._topics:
-            offered = [_kept_for_late_ones()] if topic == _STATIC else []
+            offered = [_latched_qos()] if topic == _STATIC else []
             self._topics[topic] = self._writer.add_connection(
                 topic, kind, typestore=self._store, offered_qos_profiles=offered
             )
@@ -216,9 +212,8 @@ class RosBag(ClosingContextBase):
 
     def _numbers(self, kind: str, values: F64) -> Any:
         """A message of geometry_msgs that has x, y, z, and for a quaternion w."""
-        return self._made(
-            f"geometry_msgs/msg/{kind}", **dict(zip("xyzw", values.tolist(), strict=False))
-        )
+        content = dict(zip("xyzw", values.tolist(), strict=False))
+        return self._made(f"geometry_msgs/msg/{kind}", **content)
 
 
 def _stamp_ns(time_s: float) -> int:
@@ -231,11 +226,8 @@ def _stamp_ns(time_s: float) -> int:
     return stamp_ns
 
 
-def _kept_for_late_ones() -> Any:
-    """The quality of service of /tf_static.
-
-    Its listeners ask for this, and hear nothing where it is not offered.
-    """
+def _latched_qos() -> Any:
+    """The quality of service of /tf_static: with another one its subscribers get nothing."""
     from rosbags.interfaces import (
         Qos,
         QosDurability,
