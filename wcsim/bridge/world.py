@@ -62,49 +62,6 @@ ENGINE_STAY_M = 250.0  # but what is so near a chair stays
 _MOVED_M = 1.0  # who has moved less since tiles were looked for needs no others
 
 
-class _TileLoader:
-    """Knows which tiles the cameras have; what an engine has, the caller says."""
-
-    def __init__(self, tiles: StreetTiles, rig: CameraRig, range_m: float) -> None:
-        """Nothing is loaded yet; cameras see `range_m` far."""
-        self._tiles, self._rig = tiles, rig
-        self._sight_m = range_m + _SIGHT_MORE_M
-        # For which engine and from where, the last time.
-        self._looked: tuple[StreetBodies, F64] | None = None
-        self._drawn: dict[TileKey, GeometryStore] = {}
-
-    def load(self, places_W_m: F64, laid: StreetBodies, stopwatch: Stopwatch) -> None:
-        """Have the street around these places (n, 2) there; `laid` are the tiles in the engine.
-
-        Which tiles are there depends on where the chairs were, and on nothing else. The time that
-        loading takes is measured as "street".
-        """
-        last = self._looked
-        if last is not None and last[0] is laid and not moved(places_W_m, last[1], _MOVED_M):
-            return
-        self._looked = laid, places_W_m
-        close = self._tiles.near(places_W_m, _ENGINE_REACH_M)
-        under = [key for key in close if key not in laid.keys]
-        drawn = self._drawn.keys() >= set(self._tiles.near(places_W_m, self._sight_m))
-        if drawn and not under:
-            return
-        with stopwatch.measure("street"):
-            for key in under:
-                laid.lay(key, partial(self._tiles.mesh, key))
-            if len(laid.keys) > MOST_TILES:
-                far = laid.keys.difference(self._tiles.near(places_W_m, ENGINE_STAY_M))
-                # Sorted: the ids of bodies must not depend on the order of a set.
-                for key in sorted(far):
-                    laid.lift(key)
-            if not drawn:
-                keys, old = self._tiles.near(places_W_m, self._sight_m + _TILE_MORE_M), self._drawn
-                # Stores are used again: making one takes many times as long as joining them.
-                self._drawn = {
-                    key: old.get(key) or GeometryStore(self._tiles.mesh(key)) for key in keys
-                }
-                self._rig.show(GeometryStore.joined(list(self._drawn.values())))
-
-
 class World(ClosingContextBase):
     """A town with traffic and wheelchairs that come and go between ticks.
 
@@ -474,3 +431,46 @@ class World(ClosingContextBase):
         if self._epoch is None:
             raise ProtocolError("this world is closed; make a new one")
         return self._epoch
+
+
+class _TileLoader:
+    """Knows which tiles the cameras have; what an engine has, the caller says."""
+
+    def __init__(self, tiles: StreetTiles, rig: CameraRig, range_m: float) -> None:
+        """Nothing is loaded yet; cameras see `range_m` far."""
+        self._tiles, self._rig = tiles, rig
+        self._sight_m = range_m + _SIGHT_MORE_M
+        # For which engine and from where, the last time.
+        self._looked: tuple[StreetBodies, F64] | None = None
+        self._drawn: dict[TileKey, GeometryStore] = {}
+
+    def load(self, places_W_m: F64, laid: StreetBodies, stopwatch: Stopwatch) -> None:
+        """Have the street around these places (n, 2) there; `laid` are the tiles in the engine.
+
+        Which tiles are there depends on where the chairs were, and on nothing else. The time that
+        loading takes is measured as "street".
+        """
+        last = self._looked
+        if last is not None and last[0] is laid and not moved(places_W_m, last[1], _MOVED_M):
+            return
+        self._looked = laid, places_W_m
+        close = self._tiles.near(places_W_m, _ENGINE_REACH_M)
+        under = [key for key in close if key not in laid.keys]
+        drawn = self._drawn.keys() >= set(self._tiles.near(places_W_m, self._sight_m))
+        if drawn and not under:
+            return
+        with stopwatch.measure("street"):
+            for key in under:
+                laid.lay(key, partial(self._tiles.mesh, key))
+            if len(laid.keys) > MOST_TILES:
+                far = laid.keys.difference(self._tiles.near(places_W_m, ENGINE_STAY_M))
+                # Sorted: the ids of bodies must not depend on the order of a set.
+                for key in sorted(far):
+                    laid.lift(key)
+            if not drawn:
+                keys, old = self._tiles.near(places_W_m, self._sight_m + _TILE_MORE_M), self._drawn
+                # Stores are used again: making one takes many times as long as joining them.
+                self._drawn = {
+                    key: old.get(key) or GeometryStore(self._tiles.mesh(key)) for key in keys
+                }
+                self._rig.show(GeometryStore.joined(list(self._drawn.values())))

@@ -81,30 +81,6 @@ class _Start:
     route: Route
 
 
-class _ShownActors:
-    """The actors that the cameras of one seat have shown, with the last tick of each."""
-
-    def __init__(self, world: WorldConfig) -> None:
-        """`world` says how long a tick is."""
-        self._ticks = round(_REMEMBERED_S / world.tick_s)
-        self._last: dict[str, int] = {}
-
-    def forget(self) -> None:
-        """Forget everybody: another episode starts."""
-        self._last.clear()
-
-    def see(self, tick: int, shown_px: Mapping[str, float]) -> None:
-        """Take what the cameras show in this tick: pixels by actor, as in a picture of 320x240."""
-        seen = {name: tick for name, pixels in shown_px.items() if pixels >= _VISIBLE_PX}
-        recent = {name: last for name, last in self._last.items() if tick - last <= self._ticks}
-        # What is seen now comes last, as it replaces an older tick.
-        self._last = {**recent, **seen}
-
-    def known(self, actors: Sequence[ActorState]) -> tuple[ActorState, ...]:
-        """Those of the actors that were shown lately enough, where they are now."""
-        return tuple(actor for actor in actors if actor.whole_id in self._last)
-
-
 class Ego:
     """A wheelchair with its user; `World` calls its methods in the order of a tick."""
 
@@ -583,3 +559,27 @@ class EgoSlots:
             raise ProtocolError(
                 f"there is no seat {number}; expected 0 or more and less than {len(self._started)}"
             )
+
+
+class _ShownActors:
+    """The actors that the cameras of one seat have shown, with the last tick of each."""
+
+    def __init__(self, world: WorldConfig) -> None:
+        """`world` says how long a tick is."""
+        self._ticks = round(_REMEMBERED_S / world.tick_s)
+        self._last: dict[str, int] = {}
+
+    def forget(self) -> None:
+        """Forget everybody: another episode starts."""
+        self._last.clear()
+
+    def see(self, tick: int, shown_px: Mapping[str, float]) -> None:
+        """Take what the cameras show in this tick: pixels by actor, as in a picture of 320x240."""
+        seen = {name: tick for name, pixels in shown_px.items() if pixels >= _VISIBLE_PX}
+        recent = {name: last for name, last in self._last.items() if tick - last <= self._ticks}
+        # What is seen now comes last, as it replaces an older tick.
+        self._last = {**recent, **seen}
+
+    def known(self, actors: Sequence[ActorState]) -> tuple[ActorState, ...]:
+        """Those of the actors that were shown lately enough, where they are now."""
+        return tuple(actor for actor in actors if actor.whole_id in self._last)

@@ -254,9 +254,8 @@ class StreetReaction:
 
     def passing(self) -> tuple[str, ...]:
         """The vehicles that have a way round a chair now."""
-        return tuple(
-            name for name, watch in self._watched.items() if watch.held and watch.could_pass
-        )
+        watched = self._watched.items()
+        return tuple(name for name, watch in watched if watch.held and watch.could_pass)
 
     def _watch(
         self,
@@ -383,13 +382,11 @@ def _considered(before: _DriverPlan, it: _Encounter, roads: Roads, impatient: bo
 
     To an `impatient` driver, who has stood long, a gap that just clears will do.
     """
-    stay_in_lane = before.stay_in_lane or _too_near_to_change_lanes(it)
+    stays = before.stay_in_lane or _too_near_to_change_lanes(it)
     limit_mps = it.check.limit(it.touch, it.place.left_m, it.brake_mps2, it.tick_s)
     at = _conflict_pose(it)
     if at < 0:
-        return before._replace(
-            stay_in_lane=stay_in_lane, limit_mps=min(before.limit_mps, limit_mps)
-        )
+        return before._replace(stay_in_lane=stays, limit_mps=min(before.limit_mps, limit_mps))
     distance_m = it.check.distance_m(at)
     passing = _room_to_pass(it, distance_m, roads)
     steering = _steering_out(it, before, passing, distance_m, _junction_left_m(it, roads))
@@ -401,7 +398,7 @@ def _considered(before: _DriverPlan, it: _Encounter, roads: Roads, impatient: bo
     plan = _DriverPlan(
         limit_mps=min(before.limit_mps, limit_mps),
         nearest_m=min(before.nearest_m, distance_m),
-        stay_in_lane=stay_in_lane or passing.possible,
+        stay_in_lane=stays or passing.possible,
         lane_index=lane_index,
         aside_m=before.aside_m if passing.aside_m is None else passing.aside_m,
         could_pass=before.could_pass or passing.possible or steering.resumed,
