@@ -38,8 +38,10 @@ _ALONE_M = 99.0
 """The gap to others when there are none."""
 _FASTEST_MPS = 99.0
 """The slowest speed when no vehicle drives."""
-_NEAR_M = 15.0  # who is farther away has nothing to do with a chair
-_BEHIND_M = 1.5  # from middle to middle, to count as behind or ahead
+# Who is farther away has nothing to do with a chair.
+_NEAR_M = 15.0
+# From middle to middle, to count as behind or ahead.
+_BEHIND_M = 1.5
 _BESIDE_M = 3.0
 _ALIGNED = 0.7  # cosine: overtaking is going the same way
 _DRIVES_MPS, _GIVES_WAY_MPS = 3.0, 1.4
