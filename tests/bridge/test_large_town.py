@@ -58,7 +58,7 @@ def test_a_chair_is_placed_once_and_on_a_street_that_is_there(town, monkeypatch)
 
 def test_a_tile_that_nobody_is_near_leaves_the_engine_and_comes_back(town, monkeypatch):
     monkeypatch.setattr("wcsim.bridge.world.MOST_TILES", 1)
-    monkeypatch.setattr("wcsim.bridge.world.ENGINE_KEEP_M", 40.0)
+    monkeypatch.setattr("wcsim.bridge.world.ENGINE_STAY_M", 40.0)
     seen = []
     for _ in range(2):
         with open_world(town) as world:

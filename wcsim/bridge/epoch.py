@@ -1,8 +1,7 @@
-"""What a world makes anew for each epoch: an engine with the bodies in it, and those who react to the wheelchairs.
+"""What a world makes anew for each epoch: an engine with bodies, and the traffic near the chairs.
 
-The traffic near the wheelchairs, tick by tick: it brakes or stands for them, and is shown as it really moves.
-
-Without an engine: a world mirrors what is here into one, a bench leads chairs through it by hand.
+The traffic brakes or stands for the wheelchairs tick by tick, and is shown as it really moves.
+It needs no engine: a world mirrors it into one, a bench leads chairs through it by hand.
 """
 
 import numpy as np
@@ -24,8 +23,8 @@ from wcsim.physics.kinematic_bodies import BodyPool
 from wcsim.types import F64, ActorState, Ground, SignalState
 from wcsim.types.street import FLAT
 
-SIGNAL_REACH_M = 60.0  # what a user or a driver has to know of a traffic light is nearer
-SIGNAL_MORE_M = 20.0  # from a stop line, which says how far off a light is, to its farthest head
+_SIGNAL_REACH_M = 60.0  # what a user or a driver has to know of a traffic light is nearer
+_SIGNAL_MORE_M = 20.0  # from a stop line, which says how far off a light is, to its farthest head
 
 
 class ReactingTraffic:
@@ -39,7 +38,7 @@ class ReactingTraffic:
         attention: AttentionModel,
         sight_m: float = 0.0,
     ) -> None:
-        """Nobody is near a chair yet; `attention` says who of the traffic looks, cameras see `sight_m` far."""
+        """Nobody is near a chair yet; `attention` says who looks, cameras see `sight_m` far."""
         self.chairs: tuple[ChairInStreet, ...] = ()  # as the traffic sees them in this tick
         self.actors: tuple[ActorState, ...] = ()  # near the chairs now, as they are shown
         self.before: dict[str, ActorState] = {}  # the same a tick ago, by id
@@ -49,7 +48,7 @@ class ReactingTraffic:
         self._hilly = ground.around(np.zeros(2)).relief is not FLAT
         self._wide_turns = SwingOut(ground, config.tick_s)
         self._articulation = Articulation()
-        self._signals_m = max(SIGNAL_REACH_M, sight_m + SIGNAL_MORE_M)
+        self._signals_m = max(_SIGNAL_REACH_M, sight_m + _SIGNAL_MORE_M)
         self._drivers = StreetReaction(config, attention, self._wide_turns)
         self._people = PedestrianAvoidance(ground, config.tick_s, attention.people)
 
@@ -58,25 +57,28 @@ class ReactingTraffic:
         self.chairs = chairs
         pilot = self._sumo.pilot
         here = self._level(self.actors)
-        for order in (*self._drivers.react(here, chairs, pilot), *self._people.holds(here, chairs)):
-            pilot.apply(order)
+        commands = self._drivers.react(here, chairs, pilot)
+        for command in (*commands, *self._people.holds(here, chairs)):
+            pilot.apply(command)
 
     def read(self, places_W_m: F64) -> tuple[ActorState, ...]:
-        """The actors near the chairs (n, 2) after SUMO's step; whom it has just put on top of a chair leaves again."""
+        """The actors near the chairs (n, 2) after SUMO's step, but for those put on a chair."""
         near = self._near(places_W_m)
-        on_top = self._drivers.turned_away(self._level(near), self.chairs, self._sumo.come)
+        on_top = self._drivers.turned_away(self._level(near), self.chairs, self._sumo.spawned)
         away = [actor_id for actor_id in on_top if self._sumo.turn_away(actor_id)]
-        return self._shown(tuple(actor for actor in near if actor.id not in away) if away else near)
+        if away:
+            near = tuple(actor for actor in near if actor.id not in away)
+        return self._shown(near)
 
     def move(self, near: tuple[ActorState, ...], places_W_m: F64) -> None:
-        """Carry the people's steps aside on by a tick, and make those of `read` the actors of now."""
+        """Move people's side steps by a tick, and make those of `read` the actors of now."""
         self.before = {actor.id: actor for actor in self.actors}
         # The offsets first: `_take` shows people where these put them.
         self._people.update(self._level(near), self.chairs)
         self._take(near, places_W_m)
 
     def look_again(self, places_W_m: F64) -> None:
-        """See the actors near the chairs anew, after a chair has moved to another place; nobody moves."""
+        """See the actors near the chairs anew, after a chair was put elsewhere; none moves."""
         self._take(self._shown(self._near(places_W_m)), places_W_m)
 
     def blocked(self) -> tuple[Blocked, ...]:
@@ -92,12 +94,12 @@ class ReactingTraffic:
         return self._sumo.actors(places_W_m, self._config.mirror_radius_m)
 
     def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
-        """The same actors with long vehicles as they take a bend: wide of it, and each in its rigid pieces."""
+        """The same actors with long vehicles as they take a bend: wide, in rigid pieces."""
         # The swing-out first: the pieces of a vehicle follow the way on which its front is shown.
         return self._articulation.bent(self._wide_turns.shown(near, self._sumo.pilot))
 
     def _take(self, near: tuple[ActorState, ...], places_W_m: F64) -> None:
-        """Make these the actors of now, on the ground and where they stepped aside to, with the signals of now."""
+        """Make these the actors of now, on the ground and stepped aside; read the signals."""
         there = mirror.on_ground(self._people.shifted(near), self._ground)
         self.actors = mirror.walked(self.before, there, self._config.tick_s)
         self.signals = self._sumo.signals(places_W_m, self._signals_m)
@@ -107,8 +109,12 @@ class ReactingTraffic:
         if not self._hilly:
             return actors
         heights_m = [chair.z_m for chair in self.chairs]
-        kept = tuple(a for a in actors if any(abs(float(a.p_W_m[2]) - z_m) < OTHER_LEVEL_M for z_m in heights_m))
-        return actors if len(kept) == len(actors) else kept
+        level = []
+        for actor in actors:
+            z_m = float(actor.p_W_m[2])
+            if any(abs(z_m - height_m) < OTHER_LEVEL_M for height_m in heights_m):
+                level.append(actor)
+        return actors if len(level) == len(actors) else tuple(level)
 
 
 class Epoch:

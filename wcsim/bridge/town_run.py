@@ -1,6 +1,6 @@
-"""Let a town's traffic run, with wheelchairs that follow their users' wish, record it, and check it every tick.
+"""Lets a town's traffic run with wheelchairs that their users drive, records and checks it.
 
-A town's traffic with no wheelchair in it: SUMO alone, for which no street has to be built.
+Without a wheelchair it is SUMO alone, for which no street has to be built.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -28,50 +28,15 @@ from wcsim.towns.scenario.stage import Scenario, files_of
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.net import read_net
-from wcsim.types import F64, ActorState, ClientSnapshot, SeatSpec, Snapshot
+from wcsim.types import F64, ActorState, SeatSpec, Snapshot
 from wcsim.users.recordings.recorded_user import find_user
 
-
-class _TownTraffic(ClosingContextBase):
-    """SUMO with a town's scenario, one tick after the other; what a world without seats does, without its street."""
-
-    def __init__(self, town: Town, config: RunConfig, seed: int, place: RunPlace) -> None:
-        """Start SUMO and let the traffic warm up.
-
-        Raises TownError for a scenario that cannot be run, WorldInUseError while a world lives in this process.
-        """
-        refuse_second_world()
-        validate_net(town.net, border=town.border)
-        self.net_z_m = read_net(town.net, town.file.origin_m).z_origin_m
-        self._held = ExitStack()
-        try:
-            self.scenario, self.sumo = open_session(town, config, seed, place, self.net_z_m, self._held)
-            warm_up(self.sumo, warmup_s(town, config), config.world.tick_s)
-        except BaseException:
-            self.close()
-            raise
-        self.snapshot = self._published(0)
-
-    def steps(self) -> Iterator[RolloutStep]:
-        """Carry the traffic on, as `rollout` does a world; no actors are in it, for there is no chair to be near to."""
-        for tick in count(1):
-            self.sumo.step()
-            self.snapshot = self._published(tick)
-            yield RolloutStep(commands=(), after=self.snapshot)
-
-    def close(self) -> None:
-        """End SUMO; a second call does nothing."""
-        self._held.close()
-
-    def _published(self, tick: int) -> Snapshot:
-        bare = Snapshot(epoch=0, tick=tick, time_s=self.sumo.time_s(), actors=(), signals=(), clients=())
-        return replace(bare, state_hash=bare.digest())
-
-
-_BORDER_M = 3.0  # a chair drives on, and actors near the edge of its surroundings come or go, within a tick
-GRID_M = 2.0**-13  # a recorded town is rounded to an eighth of a millimetre, which packs five times as tight
+# Within a tick a chair drives on, and actors pass the edge of its surroundings.
+_BORDER_M = 3.0
+# A recorded town is rounded to an eighth of a millimetre, which packs five times as tight.
+_GRID_M = 2.0**-13
 Progress = Callable[[int, int], None]  # (ticks done, all ticks)
-Stage = Callable[[str], None]  # what begins now, in words
+Stage = Callable[[str], None]  # what starts now, in words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +76,8 @@ class TrafficFacts:
     mirrored_most: int  # at once
     teleports: int  # since the scenario began
     teleports_warming: int  # of these while the traffic warmed up, before the first tick
-    collisions: int  # that SUMO saw among its own since the scenario began, each once however long it lasts
+    # That SUMO saw among its own since the scenario began, each once however long it lasts.
+    collisions: int
     collisions_warming: int  # of these while the traffic warmed up
     episodes: int
     crashes: int  # of wheelchairs
@@ -126,7 +92,7 @@ def record_town(
     order: RecordOrder,
     opened: Callable[[Scenario], None],
     progress: Progress = lambda done, ticks: None,
-    stage: Stage = lambda told: None,
+    stage: Stage = lambda text: None,
 ) -> TrafficFacts:
     """Run and record a town; without a chair no street is built.
 
@@ -136,7 +102,7 @@ def record_town(
         order: What to run; `folder` gets a trace, and SUMO's outputs in its subfolder sumo/.
         opened: Called once the scenario runs, before the first tick.
         progress: Called after every tick.
-        stage: Called with what begins now, before anything that may take long.
+        stage: Called with what starts now, before anything that may take long.
 
     Raises:
         TownError: the scenario cannot be run.
@@ -153,20 +119,31 @@ def record_town(
             load_street(town, stage)
             spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)
             stage(f"starting SUMO; traffic warm-up of {warmup_s(town, config):g} s")
-            world = held.enter_context(
-                World(town, config, (spec,) * order.chairs, order.seed, place, find_user=find_user)
-            )
+            specs = (spec,) * order.chairs
+            world = World(town, config, specs, order.seed, place, find_user=find_user)
+            held.enter_context(world)
             steps, net_z_m = rollout(world), world.street.net_origin_m[2]
         else:
             stage("starting SUMO")
             world = held.enter_context(_TownTraffic(town, config, order.seed, place))
             steps, net_z_m = world.steps(), world.net_z_m
         opened(world.scenario)
-        writer = held.enter_context(LogWriter(order.folder / TRACE, _header(town, config, order, net_z_m)))
+        header = Header(
+            town=town.name,
+            seed=order.seed,
+            tick_s=config.world.tick_s,
+            seats=order.chairs,
+            fingerprint=make_software_fingerprint(),
+            origin_m=town.file.origin_m,
+            origin_z_m=net_z_m,
+            chair_box_m=chair_box_m(config.chair),
+        )
+        writer = held.enter_context(LogWriter(order.folder / TRACE, header))
         meter = _Meter(world, town, config)
         for done, step in enumerate(islice(steps, ticks), start=1):
             everyone = world.sumo.everyone()
-            writer.append(world_state_from_snapshot(step.after, step.commands, as_recorded(step.after, everyone)))
+            actors = as_recorded(step.after, everyone)
+            writer.append(world_state_from_snapshot(step.after, step.commands, actors))
             meter.add(step.after, everyone)
             progress(done, ticks)
         facts = meter.facts(ticks, order.chairs)
@@ -175,34 +152,70 @@ def record_town(
     return replace(facts, warnings=log.count, warned=tuple(log.first.values()))
 
 
-def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -> Header:
-    return Header(
-        town=town.name,
-        seed=order.seed,
-        tick_s=config.world.tick_s,
-        seats=order.chairs,
-        fingerprint=make_software_fingerprint(),
-        origin_m=town.file.origin_m,
-        origin_z_m=net_z_m,
-        chair_box_m=chair_box_m(config.chair),
-    )
-
-
 def chair_box_m(chair: ChairConfig) -> tuple[float, float]:
-    """What a header says of the wheelchairs."""
+    """What a header has of the wheelchairs: their length, and their middle ahead of the axle."""
     outline = plant_spec(chair).outline
     return outline.length_m, outline.middle_x_m
 
 
 def as_recorded(snapshot: Snapshot, everyone: Sequence[ActorState]) -> list[ActorState]:
-    """Everybody in town: near a wheelchair as they are shown to it, in all their pieces, elsewhere as SUMO has them.
+    """Everybody in town: near a wheelchair as it sees them, in all pieces, elsewhere as in SUMO.
 
     Places and speeds are rounded.
     """
     shown: dict[str, list[ActorState]] = {}
     for actor in snapshot.actors:
         shown.setdefault(actor.whole_id, []).append(actor)
-    return [_rounded(piece) for actor in everyone for piece in shown.get(actor.id, (actor,))]
+    return [
+        replace(
+            piece,
+            p_W_m=np.round(piece.p_W_m / _GRID_M) * _GRID_M,
+            v_W_mps=np.round(piece.v_W_mps / _GRID_M) * _GRID_M,
+            yaw_rad=round(piece.yaw_rad / _GRID_M) * _GRID_M,
+        )
+        for actor in everyone
+        for piece in shown.get(actor.id, (actor,))
+    ]
+
+
+class _TownTraffic(ClosingContextBase):
+    """SUMO with a town's scenario, as a world without seats, but without its street."""
+
+    def __init__(self, town: Town, config: RunConfig, seed: int, place: RunPlace) -> None:
+        """Start SUMO and let the traffic warm up.
+
+        Raises:
+            TownError: The scenario cannot be run.
+            WorldInUseError: A world lives in this process.
+        """
+        refuse_second_world()
+        validate_net(town.net, border=town.border)
+        self.net_z_m = read_net(town.net, town.file.origin_m).z_origin_m
+        self._held = ExitStack()
+        try:
+            where = place, self.net_z_m, self._held
+            self.scenario, self.sumo = open_session(town, config, seed, *where)
+            warm_up(self.sumo, warmup_s(town, config), config.world.tick_s)
+        except BaseException:
+            self.close()
+            raise
+        self.snapshot = self._published(0)
+
+    def steps(self) -> Iterator[RolloutStep]:
+        """Carry the traffic on as `rollout` does; without a chair no actor is near one."""
+        for tick in count(1):
+            self.sumo.step()
+            self.snapshot = self._published(tick)
+            yield RolloutStep(commands=(), after=self.snapshot)
+
+    def close(self) -> None:
+        """End SUMO; a second call does nothing."""
+        self._held.close()
+
+    def _published(self, tick: int) -> Snapshot:
+        time_s = self.sumo.time_s()
+        bare = Snapshot(epoch=0, tick=tick, time_s=time_s, actors=(), signals=(), clients=())
+        return replace(bare, state_hash=bare.digest())
 
 
 def _check_mirrored(
@@ -215,32 +228,23 @@ def _check_mirrored(
     """
     shown = {actor.id for actor in mirrored if not actor.piece}
     there = {actor.id for actor in everyone}
-    near = {
-        actor.id for actor in everyone if _gap_m(actor, chairs_W_m) + 0.5 * actor.size_lwh_m[0] < radius_m - _BORDER_M
-    }
+    near = set()
+    for actor in everyone:
+        gap_m = float(np.hypot(*(chairs_W_m - actor.p_W_m[:2]).T).min(initial=np.inf))
+        if gap_m + 0.5 * actor.size_lwh_m[0] < radius_m - _BORDER_M:
+            near.add(actor.id)
     ghosts, missing = sorted(shown - there), sorted(near - shown)
     if ghosts or missing:
         raise SumoError(
-            f"the mirror differs from SUMO: mirrored but not in SUMO: {', '.join(ghosts[:5]) or 'none'}; "
-            f"in SUMO but not mirrored: {', '.join(missing[:5]) or 'none'}; this is a bug of wcsim: report it"
+            "the mirror differs from SUMO: "
+            f"mirrored but not in SUMO: {', '.join(ghosts[:5]) or 'none'}; "
+            f"in SUMO but not mirrored: {', '.join(missing[:5]) or 'none'}; "
+            "this is a bug of wcsim: report it"
         )
 
 
-def _gap_m(actor: ActorState, chairs_W_m: F64) -> float:
-    return float(np.hypot(*(chairs_W_m - actor.p_W_m[:2]).T).min(initial=np.inf))
-
-
-def _rounded(actor: ActorState) -> ActorState:
-    return replace(
-        actor,
-        p_W_m=np.round(actor.p_W_m / GRID_M) * GRID_M,
-        v_W_mps=np.round(actor.v_W_mps / GRID_M) * GRID_M,
-        yaw_rad=round(actor.yaw_rad / GRID_M) * GRID_M,
-    )
-
-
 class _Meter:
-    """Counts what the facts say, and checks the mirror of a world with chairs."""
+    """Counts what is in the facts, and checks the mirror of a world with chairs."""
 
     def __init__(self, world: World | _TownTraffic, town: Town, config: RunConfig) -> None:
         self._world, self._origin_m, self._config = world, town.file.origin_m, config
@@ -254,7 +258,8 @@ class _Meter:
         """One tick. Raises SumoError as `_check_mirrored`."""
         clients = after.clients
         ended = sum(client.first is not None for client in clients)
-        if clients and not ended:  # a chair that was moved sees others now
+        # A chair that was moved sees others now.
+        if clients and not ended:
             places_W_m = np.array([client.plant.p_WB_m[:2] for client in clients])
             _check_mirrored(after.actors, everyone, places_W_m, self._config.world.mirror_radius_m)
         mirrored = [actor.id for actor in after.actors if not actor.piece]
@@ -262,19 +267,20 @@ class _Meter:
         self._mirrored.update(mirrored)
         self._most = max(self._most, len(mirrored))
         self._ended += ended
-        self._crashed += [self._crash(client, after.time_s) for client in clients if client.events.crashed]
-
-    def _crash(self, client: ClientSnapshot, time_s: float) -> CrashFact:
-        x_m, y_m = (client.plant.p_WB_m[:2] + self._origin_m).tolist()
-        reason = client.events.crash_reason
-        return CrashFact(
-            seat=client.seat,
-            reason=reason,
-            time_s=time_s,
-            at_m=(round(x_m, 2), round(y_m, 2)),
-            fault=judge_crash_fault(reason, client.contacts, self._config.reward),
-            told=client.events.crash,
-        )
+        for client in clients:
+            if not client.events.crashed:
+                continue
+            x_m, y_m = (client.plant.p_WB_m[:2] + self._origin_m).tolist()
+            reason = client.events.crash_reason
+            crash = CrashFact(
+                seat=client.seat,
+                reason=reason,
+                time_s=after.time_s,
+                at_m=(round(x_m, 2), round(y_m, 2)),
+                fault=judge_crash_fault(reason, client.contacts, self._config.reward),
+                told=client.events.crash,
+            )
+            self._crashed.append(crash)
 
     def facts(self, ticks: int, chairs: int) -> TrafficFacts:
         """The sums."""

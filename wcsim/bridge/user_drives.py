@@ -1,7 +1,8 @@
-"""What simulated users do with a wheelchair: they drive it alone and are recorded, or shadow a recorded person.
+"""Drives of simulated users: alone and recorded, or as the shadow of a recorded person.
 
-To know what a person wanted, the drive is made again, and somebody of the model sits beside the person: on the same
-route, knowing of the same things, with the person's delay. What it would want is taken for what the person wanted.
+To know what a person intended, the drive is made again with a simulated user beside the person. It
+has the same route, knows of the same things, and has the person's delay. Its intent stands for the
+person's.
 """
 
 from collections.abc import Callable
@@ -19,7 +20,15 @@ from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.log.drive import DriveRecording, read_wcsim_version
 from wcsim.log.fingerprint import make_software_fingerprint
-from wcsim.log.records import DriveHeader, DriveTick, EpochBegun, Header, Input, end_fields_from_snapshot, with_fields
+from wcsim.log.records import (
+    DriveHeader,
+    DriveTick,
+    EpochBegun,
+    Header,
+    Input,
+    end_fields_from_snapshot,
+    with_fields,
+)
 from wcsim.log.writer import LogWriter
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town, content_hash
@@ -28,10 +37,13 @@ from wcsim.users.profiles import UserProfile, profile_to_json, sample_profile
 from wcsim.users.recordings.recorded_user import find_user
 from wcsim.users.user import SimulatedUser
 
+_FOLLOW = "follow"
+_ENDLESS = 1_000_000_000  # steps of an episode that only a crash ends
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _SeenDrive:
-    """A drive, and what there was to see at the beginning of each of its ticks."""
+    """A drive, and what there was to see at the start of each of its ticks."""
 
     drive: DriveRecording
     views: tuple[UserView, ...]
@@ -40,7 +52,7 @@ class _SeenDrive:
 
 
 def seen_drive(drive: DriveRecording) -> _SeenDrive:
-    """Make a drive again and keep what its person saw. Raises what `replayed` raises."""
+    """Make a drive again, with what its person saw. Raises what `replayed` raises."""
     views: list[UserView] = []
     held: list[tuple[Street, Outline]] = []
 
@@ -58,10 +70,13 @@ def seen_drive(drive: DriveRecording) -> _SeenDrive:
 
 
 def with_shadow(seen: _SeenDrive, user: UserProfile) -> DriveRecording:
-    """What the person drove, with the intents of an attentive driver of these delays, who always corrects."""
+    """What the person drove, with the intents of an attentive user of the same delays.
+
+    That user always corrects.
+    """
     careful = replace(user, see_share=1.0, away_share=0.0, correct_every_s=0.0, give_up_s=3600.0)
     chair, shadow, before = config_of(seen.drive.header).chair, None, None
-    wishes: list[Joystick] = []
+    intents: list[Joystick] = []
     for tick, view in zip(seen.drive.ticks, seen.views, strict=True):
         if shadow is None or before is None or tick.episode != before[0]:
             rng = seeding.make_rng(seen.drive.header.seed, "shadow", tick.episode)
@@ -70,24 +85,19 @@ def with_shadow(seen: _SeenDrive, user: UserProfile) -> DriveRecording:
         if before is None or before[1] is not view.route:
             shadow.follow(view.route)
         shadow.look(view)
-        wishes.append(shadow.intent)
+        intents.append(shadow.intent)
         before = (tick.episode, view.route)
-    ticks = tuple(with_fields(tick, intent=wish) for tick, wish in zip(seen.drive.ticks, wishes, strict=True))
-    return replace(seen.drive, records=_persons(seen.drive, ticks))
-
-
-def _persons(drive: DriveRecording, ticks: tuple[DriveTick, ...]) -> tuple[DriveTick, ...]:
-    """The ticks that the person drove, each stretch an episode: at times the simulated user beside may have."""
-    if drive.about.profile:
-        return ticks
-    kept, episode, before = list[DriveTick](), -1, (-1, False)
-    for was, tick in zip(drive.ticks, ticks, strict=True):
-        now = (was.episode, was.by_person)
-        if now[1]:
-            episode += now != before
-            kept.append(with_fields(tick, episode=episode))
-        before = now
-    return tuple(kept)
+    # Each stretch that the person drove is an episode: at times the user beside may have driven.
+    records, episode, last = list[DriveTick](), -1, (-1, False)
+    for tick, intent in zip(seen.drive.ticks, intents, strict=True):
+        now = (tick.episode, tick.by_person)
+        if seen.drive.about.profile:
+            records.append(with_fields(tick, intent=intent))
+        elif tick.by_person:
+            episode += now != last
+            records.append(with_fields(tick, intent=intent, episode=episode))
+        last = now
+    return replace(seen.drive, records=tuple(records))
 
 
 def drive_header(town: Town, config: RunConfig, seed: int, **driven: str) -> Header:
@@ -112,12 +122,8 @@ def drive_header(town: Town, config: RunConfig, seed: int, **driven: str) -> Hea
     )
 
 
-FOLLOW = "follow"
-ENDLESS = 1_000_000_000  # steps of an episode that only a crash ends
-
-
 def drawn_user(base: UserProfile, seed: int) -> UserProfile:
-    """One user of a profile, who is then nobody else in any episode."""
+    """One user of a profile, the same one in every episode."""
     return replace(sample_profile(base, seeding.make_rng(seed, "drive", "user")), spread=0.0)
 
 
@@ -133,7 +139,7 @@ def record_user(
 ) -> int:
     """Drive and record `ticks` of one user, as drawn, who stays the same from episode to episode.
 
-    Returns how many crashes there were. `progress` hears of every tick.
+    Returns how many crashes there were. `progress` is called with each tick's number.
 
     Raises:
         ConfigError: The file is there already, or cannot be made.
@@ -141,9 +147,12 @@ def record_user(
         TownError: The town cannot be run.
     """
     crashes = 0
-    spec = SeatSpec(profile=profile_to_json(user), max_steps=ENDLESS)
-    header = drive_header(town, config, seed, profile=user.name, policy=FOLLOW)
-    with LogWriter(out, header) as recorder, World(town, config, (spec,), seed, find_user=find_user) as world:
+    spec = SeatSpec(profile=profile_to_json(user), max_steps=_ENDLESS)
+    header = drive_header(town, config, seed, profile=user.name, policy=_FOLLOW)
+    with (
+        LogWriter(out, header) as recorder,
+        World(town, config, (spec,), seed, find_user=find_user) as world,
+    ):
         for record in first_inputs(spec, seed):
             recorder.append(record)
         world.go_blind()
@@ -157,7 +166,7 @@ def record_user(
 
 
 class _Follower:
-    """Gives the only chair the action nearest to its user's stick, and remembers what that answered."""
+    """Drives the only chair by the action nearest to its user's stick, and remembers its frame."""
 
     def __init__(self, world: World, actions: ActionSet) -> None:
         self._world, self._actions = world, actions
@@ -177,7 +186,8 @@ class _Follower:
             time_s=after.tick * self._world.config.world.tick_s,
             stick=self._before.user,
             intent=self._intent,
-            sticks=self._user.sticks.astype(np.float32),  # half the bytes
+            # Half the bytes.
+            sticks=self._user.sticks.astype(np.float32),
             commanded=given,
             chosen=given,
             action=self._action,

@@ -1,9 +1,9 @@
-"""One world: SUMO moves the city, PyBullet the wheelchairs, and the five lines of `World.tick` keep them one.
+"""One world: SUMO moves the city, PyBullet the wheelchairs; `World.tick` holds them together.
 
-Time: tick n -> n + 1 is one SUMO step and `substeps` Bullet steps. SUMO plans against the chairs of tick n (it sees
-them one tick late); bodies, sensors and pictures all show tick n + 1.
+Time: tick n -> n + 1 is one SUMO step and `substeps` Bullet steps. SUMO plans against the chairs of
+tick n (it sees them one tick late); bodies, sensors and pictures all show tick n + 1.
 
-Brings the street near the wheelchairs into memory: tiles for the engine and for the pictures.
+A world also brings the street near the wheelchairs into memory: tiles for engine and pictures.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +20,13 @@ from wcsim.bridge.epoch import Epoch
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.sumo.actors import moved
 from wcsim.bridge.sumo.run_place import RunPlace
-from wcsim.bridge.sumo.session import open_session, refuse_second_world, sumo_seed, warm_up, warmup_s
+from wcsim.bridge.sumo.session import (
+    open_session,
+    refuse_second_world,
+    sumo_seed,
+    warm_up,
+    warmup_s,
+)
 from wcsim.config import RunConfig
 from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import ProtocolError
@@ -32,58 +38,35 @@ from wcsim.physics.sensors.camera import CameraRig
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
-from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, Snapshot, StartSpec, TileKey, UserView
+from wcsim.types import (
+    F64,
+    ActorState,
+    ClientSnapshot,
+    Command,
+    SeatSpec,
+    Snapshot,
+    StartSpec,
+    TileKey,
+    UserView,
+)
 from wcsim.types.street import StreetTiles, join_meshes
 from wcsim.users.profiles import find_profile
 from wcsim.users.user import FindUser
 
-ENGINE_REACH_M = 10.0  # the street so far around a chair is in the engine
-SIGHT_MORE_M = 30.0  # and so far beyond its cameras' range in sight
-TILE_KEEP_M = 100.0  # and so much more of it is taken along whenever the pictures need another part
-MOST_TILES = 64  # in the engine: a body costs a step 0.05 us wherever it is, so these cost a tenth of a chair
-ENGINE_KEEP_M = 250.0  # but what is so near a chair stays
+_ENGINE_REACH_M = 10.0  # the street so far around a chair is in the engine
+_SIGHT_MORE_M = 30.0  # and so far beyond its cameras' range in sight
+_TILE_MORE_M = 100.0  # and so much more is loaded whenever the pictures need another part
+# In the engine: a body costs a step 0.05 us wherever it is, so these cost a tenth of a chair.
+MOST_TILES = 64
+ENGINE_STAY_M = 250.0  # but what is so near a chair stays
 _MOVED_M = 1.0  # who has moved less since tiles were looked for needs no others
 
 
-class _TileLoader:
-    """Knows which tiles the cameras have; what an engine has, it is told."""
-
-    def __init__(self, tiles: StreetTiles, rig: CameraRig, range_m: float) -> None:
-        """Nothing is loaded yet; cameras see `range_m` far."""
-        self._tiles, self._rig = tiles, rig
-        self._sight_m = range_m + SIGHT_MORE_M
-        self._looked: tuple[StreetBodies, F64] | None = None  # for which engine and from where, the last time
-        self._drawn: dict[TileKey, GeometryStore] = {}
-
-    def load(self, places_W_m: F64, laid: StreetBodies, stopwatch: Stopwatch) -> None:
-        """Have the street around these places (n, 2) there; `laid` are the tiles in the engine.
-
-        Which tiles are there depends on where the chairs were, and on nothing else. What there is to do is measured as
-        "street".
-        """
-        if self._looked is not None and self._looked[0] is laid and not moved(places_W_m, self._looked[1], _MOVED_M):
-            return
-        self._looked = laid, places_W_m
-        under = [key for key in self._tiles.near(places_W_m, ENGINE_REACH_M) if key not in laid.keys]
-        drawn = self._drawn.keys() >= set(self._tiles.near(places_W_m, self._sight_m))
-        if drawn and not under:
-            return
-        with stopwatch.measure("street"):
-            for key in under:
-                laid.lay(key, partial(self._tiles.mesh, key))
-            if len(laid.keys) > MOST_TILES:
-                # Sorted: the ids of bodies must not depend on the order of a set.
-                for key in sorted(laid.keys.difference(self._tiles.near(places_W_m, ENGINE_KEEP_M))):
-                    laid.lift(key)
-            if not drawn:
-                keys, old = self._tiles.near(places_W_m, self._sight_m + TILE_KEEP_M), self._drawn
-                # Stores are kept: making one takes many times as long as joining them.
-                self._drawn = {key: old.get(key) or GeometryStore(self._tiles.mesh(key)) for key in keys}
-                self._rig.show(GeometryStore.joined(list(self._drawn.values())))
-
-
 class World(ClosingContextBase):
-    """A town with traffic and wheelchairs that come and go between ticks; images go into `out` where it is given."""
+    """A town with traffic and wheelchairs that come and go between ticks.
+
+    Images are written into `out` where it is given.
+    """
 
     def __init__(
         self,
@@ -94,22 +77,31 @@ class World(ClosingContextBase):
         place: RunPlace = RunPlace(),  # noqa: B008 - frozen
         *,
         epoch: int = 0,
-        say: Callable[[str], object] | None = None,
+        report: Callable[[str], object] | None = None,
         find_user: FindUser = find_profile,
     ) -> None:
         """Load the town and warm its traffic up.
 
-        There is a seat for each of `specs`, free where it is None; `place` says where the outputs of the SUMO scenario
-        go, `epoch` is the number of the first epoch, `say` hears how far the street is, as `load_street` tells,
-        `find_user` takes the names of users, those of profiles where it is not given. Raises TownError for a net that
-        cannot be used, ConfigError for a camera inside the chair's body, WorldInUseError while another world lives in
-        this process.
+        Args:
+            town: The town.
+            config: Of the world and its chairs.
+            specs: One for each seat; None where it is free.
+            seed: Of all chance.
+            place: Where the outputs of the SUMO scenario go.
+            epoch: The number of the first epoch.
+            report: Gets how far the street is, as `load_street` reports it.
+            find_user: Takes the names of users; without it those of profiles.
+
+        Raises:
+            TownError: The net cannot be used.
+            ConfigError: A camera is inside the chair's body.
+            WorldInUseError: Another world lives in this process.
         """
         refuse_second_world()
         validate_net(town.net, border=town.border)
         self.town = town
         self.config = config
-        self.street = load_street(town, say)
+        self.street = load_street(town, report)
         self._seating = EgoSlots(specs, config, self.street, town, find_user)
         self.stopwatch = Stopwatch()
         self.epoch = epoch - 1
@@ -119,12 +111,16 @@ class World(ClosingContextBase):
         self._blind = False
         self._held = ExitStack()
         try:
-            seats, heads, threads = max(1, len(specs)), self.street.signal_heads, config.world.draw_threads
-            rig = CameraRig(join_meshes(()), config.cameras, seats, heads, threads, config.world.tick_s)
+            cameras, world = config.cameras, config.world
+            seats, heads = max(1, len(specs)), self.street.signal_heads
+            rig = CameraRig(
+                join_meshes(()), cameras, seats, heads, world.draw_threads, world.tick_s
+            )
             self._rig = self._held.enter_context(rig)
-            range_m = max(camera.range_m for camera in config.cameras)
+            range_m = max(camera.range_m for camera in cameras)
             self._loader = _TileLoader(self.street.tiles, rig, range_m)
-            self.scenario, self.sumo = open_session(town, config, seed, place, self.street.net_origin_m[2], self._held)
+            net_z_m = self.street.net_origin_m[2]
+            self.scenario, self.sumo = open_session(town, config, seed, place, net_z_m, self._held)
             self.snapshot = self._begin(seed)
         except BaseException:
             self.close()
@@ -136,7 +132,11 @@ class World(ClosingContextBase):
         return self._seating.present
 
     def tick(self, commands: Sequence[Command], out: ImageSink | None = None) -> Snapshot:
-        """Carry the world from tick n to n + 1, with one command of tick n for every taken seat, in seat order."""
+        """Carry the world from tick n to n + 1.
+
+        `commands` are of tick n: one for every taken seat, in seat order. Raises ProtocolError for
+        others.
+        """
         self._react(commands)
         self._step()
         self._mirror()
@@ -144,34 +144,44 @@ class World(ClosingContextBase):
         return self._sense(out)
 
     def rebuild(self, seed: int, out: ImageSink | None = None) -> Snapshot:
-        """A new epoch: everything from its beginning, as a new world with this seed and these chairs would be."""
+        """A new epoch: everything as in a new world with this seed and these chairs."""
         self.sumo.rebuild(sumo_seed(seed))
         self.snapshot = self._begin(seed, out)
         return self.snapshot
 
-    def respawn(self, seat: int, out: ImageSink | None = None, start: StartSpec | None = None) -> ClientSnapshot:
-        """Put one seat's chair at the start of its next episode, now; costs no tick and stops nobody.
+    def respawn(
+        self, seat: int, out: ImageSink | None = None, start: StartSpec | None = None
+    ) -> ClientSnapshot:
+        """Put one seat's chair at the start of its next episode, now.
 
-        The start is the seat's own, or `start` for this episode. Raises ProtocolError when the seat is free or not
-        there, ConfigError for a start that cannot be.
+        Costs no tick and stops nobody. The start is the seat's own, or `start` for this episode.
+
+        Raises:
+            ProtocolError: The seat is free or not there.
+            ConfigError: The start cannot be.
         """
-        asked = self._seating.at(seat)
-        asked.begin_next_at(start)
-        return self._joined(asked, out)
+        ego = self._seating.at(seat)
+        ego.begin_next_at(start)
+        return self._joined(ego, out)
 
     def start_facing(self, seat: int, places_W_m: Sequence[XY], goal_W_m: XY) -> StartSpec | None:
-        """The first of these places that is clear, as a start that faces its way to the goal; None where none is.
+        """The first clear place, as a start that faces its way to the goal; None without one.
 
-        Raises ProtocolError when the seat is free or not there.
+        Raises:
+            ProtocolError: The seat is free or not there.
         """
-        asked = self._seating.at(seat)
-        starts = (asked.start_facing(xy, goal_W_m, self._taken) for xy in places_W_m)
+        ego = self._seating.at(seat)
+        starts = (ego.start_facing(xy, goal_W_m, self._taken) for xy in places_W_m)
         return next((start for start in starts if start is not None), None)
 
     def admit(self, seat: int, spec: SeatSpec, out: ImageSink | None = None) -> ClientSnapshot:
-        """Put a new chair into the street for a free seat, now; its episodes go on from those the seat has had.
+        """Put a new chair into the street for a free seat, now.
 
-        Raises ProtocolError when the seat is taken or not there, and what refuses the spec; then nothing has changed.
+        Its episodes go on from those the seat has had. If it raises, nothing has changed.
+
+        Raises:
+            ProtocolError: The seat is taken or not there.
+            ConfigError: The spec holds something that cannot be used.
         """
         new = self._seating.admit(self._open.engine, self._rig, seat, spec)
         traffic = self._open.traffic
@@ -184,14 +194,15 @@ class World(ClosingContextBase):
             raise
 
     def dismiss(self, seat: int) -> None:
-        """Take a seat's chair out of the street, now. Raises ProtocolError when the seat is free or not there."""
+        """Take a seat's chair out of the street. ProtocolError when the seat is not taken."""
         self._seating.dismiss(seat)
-        self._rig.reset(seat)  # its last images may be in somebody's buffers
+        # Its last images may be in somebody's buffers.
+        self._rig.reset(seat)
         self._open.traffic.look_again(self._places())
         self.snapshot = self._published(tuple(c for c in self.snapshot.clients if c.seat != seat))
 
     def put_chair(self, seat: int, xy_W_m: F64, yaw_rad: float) -> None:
-        """Put one seat's chair on the ground of another place, now and at rest; its episode goes on."""
+        """Put one seat's chair on the ground of another place, at rest; its episode goes on."""
         p_W_m = np.array([*xy_W_m[:2], float(self.street.grid.height_at(xy_W_m))])
         moved, places_W_m = self._seating.at(seat), self._places()
         places_W_m[self.seats.index(moved)] = p_W_m[:2]
@@ -201,17 +212,24 @@ class World(ClosingContextBase):
         self._open.traffic.look_again(self._places())
 
     def in_danger(self, seat: int) -> bool:
-        """Whether a user's stick of now ends badly, on the true geometry.
-
-        Raises ProtocolError when the seat is free or not there.
-        """
-        asked = self._seating.at(seat)
-        return asked.in_danger(self._others(asked))
+        """Whether a user's stick of now ends badly. ProtocolError when the seat is not taken."""
+        ego = self._seating.at(seat)
+        return ego.in_danger(self._others(ego))
 
     def view_of(self, seat: int) -> UserView:
-        """What the user of a seat may know of the street now. Raises ProtocolError when it is free or not there."""
-        asked = self._seating.at(seat)
-        return asked.view(self.sumo.time_s(), self._others(asked), self._open.traffic.signals)
+        """What the user of a seat may know now. ProtocolError when the seat is not taken."""
+        ego = self._seating.at(seat)
+        return ego.view(self.sumo.time_s(), self._others(ego), self._open.traffic.signals)
+
+    def go_blind(self) -> None:
+        """Draw no pictures from now on and give no truth: for a street where only users drive."""
+        self._blind = True
+        self._rig.freeze_pictures()
+
+    def drop_step_limits(self) -> None:
+        """Let no episode end by its steps any more: to see how a street goes on."""
+        for seat in self.seats:
+            seat.spec = replace(seat.spec, max_steps=1 << 30)
 
     def close(self) -> None:
         """End both simulators; a second call does nothing."""
@@ -220,14 +238,18 @@ class World(ClosingContextBase):
             self._epoch.engine.close()
             self._epoch = None
 
-    # --- the five lines ---
-
     def _react(self, commands: Sequence[Command]) -> None:
-        """The street sees the chairs of tick n: drivers brake or pass, people stop, lights hear their buttons."""
-        self._check(commands)
+        """The street sees the chairs of tick n: drivers brake, people stop, lights react."""
+        received = [(c.seat, c.tick) for c in commands]
+        # Commands for another tick are refused before anything has moved.
+        if received != [(seat.index, self._tick) for seat in self.seats]:
+            raise ProtocolError(
+                f"commands (seat, tick) {received} do not fit tick {self._tick}; "
+                "expected one a seat"
+            )
         with self.stopwatch.measure("react"):
             self._open.traffic.react(tuple(seat.in_street() for seat in self.seats))
-            self.sumo.buttons.ask([seat.asks for seat in self.seats if seat.asks is not None])
+            self.sumo.buttons.request([seat.asks for seat in self.seats if seat.asks is not None])
 
     def _step(self) -> None:
         """SUMO moves the city to tick n + 1."""
@@ -235,26 +257,17 @@ class World(ClosingContextBase):
             self.sumo.step(lambda: tuple(seat.for_hook() for seat in self.seats))
 
     def _mirror(self) -> None:
-        """The engine gets a body for every actor in reach of a chair, and the street under and around the chairs."""
+        """The engine gets bodies for the actors in reach of a chair, and the street around it."""
         traffic, places_W_m = self._open.traffic, self._places()
         with self.stopwatch.measure("read"):
             near = traffic.read(places_W_m)
         with self.stopwatch.measure("mirror"):
             traffic.move(near, places_W_m)
-            self._bodied = mirror.in_reach(traffic.actors, places_W_m, self.config.world.tick_s)
+            tick_s = self.config.world.tick_s
+            self._bodied = mirror.in_reach(traffic.actors, places_W_m, tick_s)
             self._choose_step()
-            self._open.bodies.place(mirror.moves(traffic.before, self._bodied, self.config.world.tick_s))
+            self._open.bodies.place(mirror.moves(traffic.before, self._bodied, tick_s))
         self._load_tiles(places_W_m)
-
-    def go_blind(self) -> None:
-        """Draw no pictures from now on, and say no truth: for who asks how a street goes on, where only users drive."""
-        self._blind = True
-        self._rig.freeze_pictures()
-
-    def drop_step_limits(self) -> None:
-        """Let no episode end by its steps any more: for who asks how a street goes on."""
-        for seat in self.seats:
-            seat.spec = replace(seat.spec, max_steps=1 << 30)
 
     def _drive(self, commands: Sequence[Command]) -> None:
         """The chairs are driven, substep by substep."""
@@ -262,7 +275,7 @@ class World(ClosingContextBase):
         with self.stopwatch.measure("physics"):
             for seat, command in zip(self.seats, commands, strict=True):
                 seat.command(command.joystick)
-            # All chairs before each step and all after it: none is driven by what another one did in the same step.
+            # All chairs before each step and all after it: none depends on another's same step.
             for _ in range(round(self.config.world.tick_s / engine.step_s)):
                 for seat in self.seats:
                     seat.chair.before_step()
@@ -271,25 +284,30 @@ class World(ClosingContextBase):
                     seat.chair.after_step()
 
     def _sense(self, out: ImageSink | None) -> Snapshot:
-        """Everything is measured at tick n + 1, users look and move their hands, and who has ended begins again."""
-        self._check_mirror()
+        """Measure tick n + 1, have users look and move their hands, and start new episodes."""
+        # 1. The bodies have to be where the actors are.
+        with self.stopwatch.measure("mirror"):
+            self._open.check.check(self._bodied)
         self._tick += 1
         for seat in self.seats:
             seat.end_tick(self._tick)
-        # Users look while the pictures are drawn: neither changes what the other one sees.
+        # 2. Users look while the pictures are drawn: neither changes what the other one sees.
         scenes = self._shoot(self.seats, out, first=False, meanwhile=self._users_look)
-        clients = tuple(self._client(seat, scenes[seat.index]) for seat in self.seats)
-        # New episodes come last: what ends an episode is seen in the street as it was then.
+        clients = []
+        for seat in self.seats:
+            client = self._seen(seat, scenes[seat.index], first=False)
+            if client.events.arrived or client.events.gave_up:
+                seat.next_destination()
+            clients.append(client)
+        # 3. New episodes are last: what ends an episode is seen in the street as it was then.
         over = {c.seat for c in clients if c.events.crashed or c.events.truncated}
         ended = tuple(seat for seat in self.seats if seat.index in over)
         first = {client.seat: client for client in self._open_episodes(ended, out)}
         self.snapshot = self._published(tuple(replace(c, first=first.get(c.seat)) for c in clients))
         return self.snapshot
 
-    # --- what they need ---
-
     def _choose_step(self) -> None:
-        """Fine physics steps for a tick in which a wheel meets a kerb or somebody a chair, else the usual ones."""
+        """Set fine physics steps for a tick in which a wheel meets a kerb, or somebody a chair."""
         world, engine, traffic = self.config.world, self._open.engine, self._open.traffic
         chairs = [seat.as_actor() for seat in self.seats]
         fine = any(seat.meets_edge() for seat in self.seats)
@@ -301,7 +319,7 @@ class World(ClosingContextBase):
                 seat.chair.follow_step()
 
     def _begin(self, seed: int, out: ImageSink | None = None) -> Snapshot:
-        """Warm the traffic up, build an engine of its own for this epoch, and put every chair at a start."""
+        """Warm the traffic up, build an engine for this epoch, and put every chair at a start."""
         self.epoch += 1
         self._tick = 0
         warm_up(self.sumo, warmup_s(self.town, self.config), self.config.world.tick_s)
@@ -312,26 +330,17 @@ class World(ClosingContextBase):
         self._seating.build(self._epoch.engine, self._rig, seed)
         return self._published(self._open_episodes(self.seats, out))
 
-    def _check(self, commands: Sequence[Command]) -> None:
-        """Refuse commands for another tick before anything has moved. Raises ProtocolError."""
-        got = [(c.seat, c.tick) for c in commands]
-        if got != [(seat.index, self._tick) for seat in self.seats]:
-            raise ProtocolError(f"commands (seat, tick) {got} do not fit tick {self._tick}; expected one a seat")
-
-    def _check_mirror(self) -> None:
-        """Raises PhysicsError when the bodies are not where the actors are."""
-        with self.stopwatch.measure("mirror"):
-            self._open.check.check(self._bodied)
-
     def _joined(self, seat: Ego, out: ImageSink | None) -> ClientSnapshot:
-        """Begin a seat's next episode and show it in the snapshot of now."""
+        """Start a seat's next episode and show it in the snapshot of now."""
         (client,) = self._open_episodes((seat,), out)
         others = [c for c in self.snapshot.clients if c.seat != seat.index]
         self.snapshot = self._published(tuple(sorted((*others, client), key=lambda c: c.seat)))
         return client
 
-    def _open_episodes(self, seats: Sequence[Ego], out: ImageSink | None) -> tuple[ClientSnapshot, ...]:
-        """Begin the next episode of these seats: all stand, once the street is there, before any looks around."""
+    def _open_episodes(
+        self, seats: Sequence[Ego], out: ImageSink | None
+    ) -> tuple[ClientSnapshot, ...]:
+        """Start the next episode of these seats; all stand before any of them looks around."""
         for seat in seats:
             seat.spawn(self._taken, self._open.attention)
             if seat.fitting is not None:
@@ -347,13 +356,6 @@ class World(ClosingContextBase):
         scenes = self._shoot(seats, out, first=True)
         return tuple(self._seen(seat, scenes[seat.index], first=True) for seat in seats)
 
-    def _client(self, seat: Ego, scene: Surroundings) -> ClientSnapshot:
-        """The seat after a tick; a user who arrived or gave up gets the next destination."""
-        client = self._seen(seat, scene, first=False)
-        if client.events.arrived or client.events.gave_up:
-            seat.next_destination()
-        return client
-
     def _users_look(self) -> None:
         """All users see what is around now."""
         with self.stopwatch.measure("user"):
@@ -361,9 +363,13 @@ class World(ClosingContextBase):
                 self._look_around(seat)
 
     def _shoot(
-        self, seats: Sequence[Ego], out: ImageSink | None, first: bool, meanwhile: Callable[[], object] | None = None
+        self,
+        seats: Sequence[Ego],
+        out: ImageSink | None,
+        first: bool,
+        meanwhile: Callable[[], object] | None = None,
     ) -> dict[int, Surroundings]:
-        """Take the pictures of all these seats together, and do something else meanwhile; what each sees, by seat."""
+        """Take the pictures of all these seats together; returns what each sees, by seat."""
         if not seats:
             return {}
         traffic = self._open.traffic
@@ -373,16 +379,18 @@ class World(ClosingContextBase):
             scenes = {}
             for seat in seats:
                 buffers = None if out is None else out.buffers(seat.index, first)
-                scenes[seat.index] = seat.surroundings(self._tick, traffic.actors, poses, traffic.signals, buffers)
-            self._rig.shoot_all({seat: scene for seat, scene in scenes.items() if scene.drawn}, meanwhile)
+                seen = traffic.actors, poses, traffic.signals
+                scenes[seat.index] = seat.surroundings(self._tick, *seen, buffers)
+            drawn = {seat: scene for seat, scene in scenes.items() if scene.drawn}
+            self._rig.shoot_all(drawn, meanwhile)
         return scenes
 
     def _seen(self, seat: Ego, scene: Surroundings, first: bool) -> ClientSnapshot:
         with self.stopwatch.measure("render"):
             sensors = seat.observe(scene, self._others(seat) if seat.spec.near else ())
         with self.stopwatch.measure("truth"):
-            asked = not self._blind and (seat.spec.truth or seat.spec.truth_visible)
-            truth = seat.truth(self._others(seat)) if asked else None
+            requested = not self._blind and (seat.spec.truth or seat.spec.truth_visible)
+            truth = seat.truth(self._others(seat)) if requested else None
         return seat.snapshot(self._tick, sensors, seat.events(self.sumo.teleports, first), truth)
 
     def _look_around(self, seat: Ego) -> None:
@@ -398,10 +406,11 @@ class World(ClosingContextBase):
 
     def _others(self, seat: Ego) -> tuple[ActorState, ...]:
         """Everything that moves around a seat, the other wheelchairs among it."""
-        return self._open.traffic.actors + tuple([other.as_actor() for other in self.seats if other is not seat])
+        chairs = [other.as_actor() for other in self.seats if other is not seat]
+        return self._open.traffic.actors + tuple(chairs)
 
     def _taken(self, xy_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
-        """What stands or moves near a place where somebody wants to start."""
+        """What stands or moves near a place that may become a start."""
         chairs = tuple(seat.as_actor() for seat in self.seats if seat.spawned)
         return self.sumo.actors_at(xy_W_m[None, :2], radius_m) + chairs
 
@@ -422,3 +431,46 @@ class World(ClosingContextBase):
         if self._epoch is None:
             raise ProtocolError("this world is closed; make a new one")
         return self._epoch
+
+
+class _TileLoader:
+    """Knows which tiles the cameras have; what an engine has, the caller says."""
+
+    def __init__(self, tiles: StreetTiles, rig: CameraRig, range_m: float) -> None:
+        """Nothing is loaded yet; cameras see `range_m` far."""
+        self._tiles, self._rig = tiles, rig
+        self._sight_m = range_m + _SIGHT_MORE_M
+        # For which engine and from where, the last time.
+        self._looked: tuple[StreetBodies, F64] | None = None
+        self._drawn: dict[TileKey, GeometryStore] = {}
+
+    def load(self, places_W_m: F64, laid: StreetBodies, stopwatch: Stopwatch) -> None:
+        """Have the street around these places (n, 2) there; `laid` are the tiles in the engine.
+
+        Which tiles are there depends on where the chairs were, and on nothing else. The time that
+        loading takes is measured as "street".
+        """
+        last = self._looked
+        if last is not None and last[0] is laid and not moved(places_W_m, last[1], _MOVED_M):
+            return
+        self._looked = laid, places_W_m
+        close = self._tiles.near(places_W_m, _ENGINE_REACH_M)
+        under = [key for key in close if key not in laid.keys]
+        drawn = self._drawn.keys() >= set(self._tiles.near(places_W_m, self._sight_m))
+        if drawn and not under:
+            return
+        with stopwatch.measure("street"):
+            for key in under:
+                laid.lay(key, partial(self._tiles.mesh, key))
+            if len(laid.keys) > MOST_TILES:
+                far = laid.keys.difference(self._tiles.near(places_W_m, ENGINE_STAY_M))
+                # Sorted: the ids of bodies must not depend on the order of a set.
+                for key in sorted(far):
+                    laid.lift(key)
+            if not drawn:
+                keys, old = self._tiles.near(places_W_m, self._sight_m + _TILE_MORE_M), self._drawn
+                # Stores are used again: making one takes many times as long as joining them.
+                self._drawn = {
+                    key: old.get(key) or GeometryStore(self._tiles.mesh(key)) for key in keys
+                }
+                self._rig.show(GeometryStore.joined(list(self._drawn.values())))

@@ -87,7 +87,7 @@ class DriveSession(ClosingContextBase):
             self.assistance = Assistance(self.place.policy, self.actions, config.world.help_ticks)
             held.callback(self.assistance.close)
             self.world = held.enter_context(
-                World(self.place.town, config, (spec,), self.place.seed, say=say, find_user=find_user)
+                World(self.place.town, config, (spec,), self.place.seed, report=say, find_user=find_user)
             )
             self._chair = SeatEnvAdapter(config)
             self._begin()

@@ -1,4 +1,4 @@
-"""A small scene that runs as it is, as a beginning for one's own: a street with a zebra, a car, a wheelchair."""
+"""A small scene that runs as it is, to start one's own from: a zebra, a car, a wheelchair."""
 
 import re
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 from wcsim.core.files import write_folder_atomically
 from wcsim.errors import TownError
 
+# Texts of users: some of their lines are long.
 _FILES = {
     "street.nod.xml": """\
 <nodes>
@@ -14,14 +15,14 @@ _FILES = {
     <node id="C" x="0" y="0" type="priority"/>
     <node id="E" x="60" y="0" type="priority"/>
 </nodes>
-""",
+""",  # noqa: E501
     "street.typ.xml": """\
 <types>
     <!-- one lane each way and a pavement of 2.5 m: the kerb is at y = 3.25, the pavement's middle at y = 4.5 -->
     <type id="street" priority="3" numLanes="1" speed="11.11" width="3.25" sidewalkWidth="2.5"
           disallow="pedestrian wheelchair"/>
 </types>
-""",
+""",  # noqa: E501
     "street.edg.xml": """\
 <edges>
     <edge id="WC" from="W" to="C" type="street"/>
@@ -42,13 +43,13 @@ _FILES = {
     <!-- vehicles and persons, in the order of their departures -->
     <vehicle id="car.west" type="car" depart="0" departPos="5" departSpeed="max"><route edges="EC CW"/></vehicle>
 </routes>
-""",
+""",  # noqa: E501
     "street.add.xml": """\
 <additional>
     <!-- objects: wcsim.sign, wcsim.bench, wcsim.roadworks, ... and SUMO's own parking areas and stops -->
     <poi id="sign" type="wcsim.sign" x="-20" y="-5.4" angle="90"/>
 </additional>
-""",
+""",  # noqa: E501
     "scene.toml": """\
 name = "{name}"
 shows = "A wheelchair crosses at a zebra; a car brakes, lets it pass and drives on."
@@ -72,7 +73,7 @@ crashed = false
 closest_vehicle_m = [0.8, 2.5]
 gave_way = [1, 1]
 went_on = [1, 1]
-""",
+""",  # noqa: E501
 }
 
 
@@ -84,7 +85,9 @@ def write_scene(home: Path, name: str) -> Path:
         DiskFullError: It cannot be written.
     """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
-        raise TownError(f"a scene cannot be named {name!r}; expected up to 64 letters, digits, - and _")
+        raise TownError(
+            f"a scene cannot be named {name!r}; expected up to 64 letters, digits, - and _"
+        )
     folder = home / name
     if folder.exists():
         raise TownError(f"{folder} already exists; choose another name, or remove it first")

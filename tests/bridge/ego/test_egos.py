@@ -171,7 +171,7 @@ def test_a_seat_goes_on_with_its_next_episode_and_another_start(world):
         world.dismiss(1)
     assert len(set(starts)) == 3
     parked = world._seating.admit(world._open.engine, world._rig, 1, SPEC)
-    assert (parked.begun, parked.spawned) == (6, False)  # it takes nobody's place before it has one
+    assert (parked.started, parked.spawned) == (6, False)  # it takes nobody's place before it has one
     world._seating.revoke(1)
     world.rebuild(2)
     assert world.admit(1, SPEC).events.episode == 0

@@ -234,12 +234,12 @@ def test_the_least_speed_over_all_chairs_holds_and_a_way_round_keeps_the_lane():
     one = _considered(_DriverPlan(), near, roads, impatient=False)
     both = _considered(one, far, roads, impatient=False)
     other = _considered(_considered(_DriverPlan(), far, roads, impatient=False), near, roads, impatient=False)
-    assert _considered(_DriverPlan(), far, roads, impatient=False).keep_lane and not _too_near_to_change_lanes(far)
-    assert one.lane_index == 1 and one.could_pass and one.keep_lane and one.toward == ("E", 1)
+    assert _considered(_DriverPlan(), far, roads, impatient=False).stay_in_lane and not _too_near_to_change_lanes(far)
+    assert one.lane_index == 1 and one.could_pass and one.stay_in_lane and one.toward == ("E", 1)
     assert both == other and both.limit_mps == one.limit_mps and both.nearest_m == one.nearest_m < math.inf
     beside = _considered(_DriverPlan(), encounter(chair(30.0, 2.3), roads=roads), roads, impatient=False)
     assert beside.nearest_m == math.inf and beside.limit_mps < 20.0  # passes it, but not fast
-    assert beside.keep_lane and not beside.could_pass
+    assert beside.stay_in_lane and not beside.could_pass
 
 
 def test_an_impatient_driver_takes_the_gap_that_just_clears_in_its_own_line():
@@ -291,10 +291,10 @@ def test_a_command_is_given_only_where_sumo_would_do_something_else():
 
     assert told(_DriverPlan()) is None
     assert told(_DriverPlan(), (3.0, True)).hard
-    assert told(_DriverPlan(keep_lane=True)).keep_lane
+    assert told(_DriverPlan(stay_in_lane=True)).stay_in_lane
     assert told(_DriverPlan(lane_index=0)).lane_index == 0
     assert told(_DriverPlan(aside_m=0.3)).aside_m == 0.3
     assert told(_DriverPlan(aside_m=0.01)).aside_m is None
     assert told(_DriverPlan(aside_m=0.01), moved_over=True).aside_m == 0.0
     assert told(_DriverPlan(lane_index=1), moved_over=True).aside_m is None
-    assert _command("v:car", _DriverPlan(keep_lane=True), (LET_GO, False), True, False).pushy
+    assert _command("v:car", _DriverPlan(stay_in_lane=True), (LET_GO, False), True, False).pushy

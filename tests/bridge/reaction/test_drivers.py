@@ -80,7 +80,7 @@ def test_the_order_comes_after_the_reaction_time_and_everything_is_given_back_on
     assert [order is not None for order in seen] == [False, False, True, True]
     back = order_for(actor(), (chair(15.0, 30.0),), roads, reaction)
     assert back.speed_mps == LET_GO
-    assert not back.keep_lane
+    assert not back.stay_in_lane
     assert order_for(actor(), (chair(15.0, 30.0),), roads, reaction) is None
 
 
@@ -164,7 +164,7 @@ def test_a_chair_that_rolls_along_the_lane_is_followed_and_not_hit():
 def test_who_drives_in_the_next_lane_does_not_change_into_the_chair():
     roads = StraightRoads(lanes=2)
     order = order_for(actor(y=LANE_M, speed=10.0), (chair(15.0, 0.0),), roads)
-    assert order.keep_lane
+    assert order.stay_in_lane
     assert order.lane_index is None
 
 
@@ -223,7 +223,7 @@ def test_who_stands_near_a_chair_begins_no_change_of_lanes_of_sumos_own():
     """SUMO moves sideways even who stands, and turns its body while it does."""
     order = order_for(actor(x=0.0, speed=0.0), (chair(8.0, 2.4),), StraightRoads(lanes=2))
     assert order is not None
-    assert order.keep_lane
+    assert order.stay_in_lane
 
 
 def test_who_has_waited_long_drives_by_slowly_where_its_body_just_clears_and_never_where_it_does_not():

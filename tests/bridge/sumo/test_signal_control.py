@@ -55,7 +55,7 @@ def colours(road, seconds, asks=lambda time_s: False):
         seen = []
         for step in range(round(seconds / 0.1)):
             if asks(0.1 * step):
-                sumo.buttons.ask(ASKED)
+                sumo.buttons.request(ASKED)
             sumo.step()
             seen.append(sumo.signals(NEAR, 500.0)[0].colours)
     return [(shown, len(list(steps))) for shown, steps in groupby(seen)]
@@ -104,6 +104,7 @@ def test_a_program_that_is_coordinated_with_others_hears_no_request(roads, tmp_p
 def test_of_two_requests_to_one_light_the_first_is_heard_and_an_unknown_light_none(roads):
     with SumoSession(options(roads["actuated"])) as sumo:
         for _ in range(70):
-            sumo.buttons.ask([GreenRequest(tls_id="none", links=(0,)), *ASKED, GreenRequest(tls_id="C", links=(0,))])
+            unknown, second = GreenRequest(tls_id="none", links=(0,)), GreenRequest(tls_id="C", links=(0,))
+            sumo.buttons.request([unknown, *ASKED, second])
             sumo.step()
         assert sumo.signals(NEAR, 500.0)[0].colours == YELLOW

@@ -1,1 +1,1 @@
-"""One wheelchair of a world with its user and its episode: slots, falls, what its cameras showed. Not the others."""
+"""One wheelchair of a world with its user and its episode: slots, falls, what its cameras show."""

@@ -1,8 +1,8 @@
-"""Whether a wheel is about to meet the edge of a kerb, or somebody the chair: then the physics takes finer steps.
+"""Whether a wheel is about to meet the edge of a kerb, or somebody the chair.
 
-At 1.67 m/s a wheel is over a kerb of 20 mm within two steps of 1/120 s, and what the chair feels comes out a third too
-small; a car of 8 m/s sinks 7 cm into a chair instead of 5. Everywhere else on a street such steps do as well as finer
-ones (docs/chair.md).
+If so, the physics takes finer steps. At 1.67 m/s a wheel is over a kerb of 20 mm within two steps
+of 1/120 s, and what the chair feels comes out a third too small; a car of 8 m/s sinks 7 cm into a
+chair instead of 5. Everywhere else on a street such steps do as well as finer ones (docs/chair.md).
 """
 
 import math
@@ -14,15 +14,19 @@ from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import U8, ActorState, Ground, PlantState
 
 SLOWER_MPS: Final = 0.5  # a wheel so slow climbs for many steps
-_RISE_CM: Final = 2  # the raster has whole centimetres, and a ramp of 8 % rises one at most from cell to cell
-_BEHIND_M: Final = 0.15  # the wheel is on the edge for so long; a caster that turns round stands elsewhere, too
+# The raster has whole centimetres, and a ramp of 8 % rises one at most from cell to cell.
+_RISE_CM: Final = 2
+# The wheel is on the edge for so long; a caster that turns round stands elsewhere, too.
+_BEHIND_M: Final = 0.15
 _SPARE: Final = 1.25  # of the way of a tick
 _STEP_M: Final = 0.08  # less than the raster's cells
 _SLACK_M: Final = 0.1  # a body turns while it moves
 
 
-def meets_edge(plant: PlantState, wheels_m: Sequence[tuple[float, float, float]], ground: Ground, dt_s: float) -> bool:
-    """Whether one of the wheels (x, y, radius), as it moves, may touch a rise of the ground within the next `dt_s`.
+def meets_edge(
+    plant: PlantState, wheels_m: Sequence[tuple[float, float, float]], ground: Ground, dt_s: float
+) -> bool:
+    """Whether a wheel (x, y, radius), as it moves, may touch a rise of the ground in a tick.
 
     Args:
         plant: The chair now.
@@ -43,7 +47,8 @@ def meets_edge(plant: PlantState, wheels_m: Sequence[tuple[float, float, float]]
         # Fetched only for a wheel that is fast enough: a chair that stands needs none.
         raster = raster or ground.around(plant.p_WB_m)
         west_m, south_m = raster.origin_W_m
-        hub_x, hub_y = x_W_m + cos * x_m - sin * y_m - west_m, y_W_m + sin * x_m + cos * y_m - south_m
+        hub_x = x_W_m + cos * x_m - sin * y_m - west_m
+        hub_y = y_W_m + sin * x_m + cos * y_m - south_m
         to_x, to_y = (cos * vx - sin * vy) / speed_mps, (sin * vx + cos * vy) / speed_mps
         reach_m = radius_m + _SPARE * speed_mps * dt_s + _BEHIND_M
         if _rises(raster.height_cm, raster.cell_m, hub_x, hub_y, to_x, to_y, reach_m):
@@ -52,7 +57,10 @@ def meets_edge(plant: PlantState, wheels_m: Sequence[tuple[float, float, float]]
 
 
 def meets_body(
-    chairs: Sequence[ActorState], before: Mapping[str, ActorState], actors: Iterable[ActorState], dt_s: float
+    chairs: Sequence[ActorState],
+    before: Mapping[str, ActorState],
+    actors: Iterable[ActorState],
+    dt_s: float,
 ) -> bool:
     """Whether somebody may touch one of the chairs on the way of this tick.
 
@@ -63,13 +71,15 @@ def meets_body(
         dt_s: The tick.
     """
     boxes = [
-        box_from_actor(chair, _SLACK_M + _SPARE * dt_s * math.hypot(*chair.v_W_mps[:2].tolist())) for chair in chairs
+        box_from_actor(chair, _SLACK_M + _SPARE * dt_s * math.hypot(*chair.v_W_mps[:2].tolist()))
+        for chair in chairs
     ]
     for actor in actors:
         x_m, y_m, _ = actor.p_W_m.tolist()
         length_m, width_m, _ = actor.size_lwh_m
         old = before.get(actor.id)
-        was_x, was_y, _ = (actor.p_W_m - dt_s * actor.v_W_mps if old is None else old.p_W_m).tolist()
+        was_W_m = actor.p_W_m - dt_s * actor.v_W_mps if old is None else old.p_W_m
+        was_x, was_y, _ = was_W_m.tolist()
         way_m = math.hypot(x_m - was_x, y_m - was_y)
         # A rough square first: few of the actors are anywhere near.
         near_m = 0.5 * length_m + width_m + way_m + 1.5
@@ -77,17 +87,20 @@ def meets_body(
             if abs(x_m - box[0]) < near_m and abs(y_m - box[1]) < near_m:
                 cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
                 aside_m = abs((y_m - was_y) * cos - (x_m - was_x) * sin)
-                # The box around all that the body sweeps in the tick. It is too large rather than too small: fine steps
-                # are always right.
-                long_m, wide_m = 0.5 * (length_m + way_m), 0.5 * (width_m + aside_m)
-                if boxes_touch(0.5 * (x_m + was_x), 0.5 * (y_m + was_y), cos, sin, long_m, wide_m, *box):
+                # The box around all that the body sweeps in the tick. It is too large rather than
+                # too small: fine steps are always right.
+                half_m = 0.5 * (length_m + way_m), 0.5 * (width_m + aside_m)
+                middle = 0.5 * (x_m + was_x), 0.5 * (y_m + was_y)
+                if boxes_touch(*middle, cos, sin, *half_m, *box):
                     return True
     return False
 
 
 @compile_exact_kernel
-def _rises(height_cm: U8, cell_m: float, x_m: float, y_m: float, to_x: float, to_y: float, reach_m: float) -> bool:
-    """Whether the ground rises by a kerb's edge on a straight way from a little behind a place to `reach_m` ahead."""
+def _rises(
+    height_cm: U8, cell_m: float, x_m: float, y_m: float, to_x: float, to_y: float, reach_m: float
+) -> bool:
+    """Whether the ground rises by a kerb's edge from a little behind a place to `reach_m` ahead."""
     rows, cols = height_cm.shape
     last_cm = -1
     for step in range(int((reach_m + _BEHIND_M) / _STEP_M) + 1):

@@ -1,6 +1,7 @@
-"""The seats of a world, each free or taken; in a taken one sits a wheelchair, with its user and its episode.
+"""The seats of a world, each free or taken; in a taken one is a wheelchair with its user.
 
-Which of the others a wheelchair's cameras have shown lately: what may be known to who sees nothing else.
+A seat also knows which of the others its cameras have shown lately, for a client that sees nothing
+else.
 """
 
 import math
@@ -45,7 +46,6 @@ from wcsim.types import (
     ClientSnapshot,
     Events,
     Joystick,
-    Outline,
     PlantState,
     Reading,
     Route,
@@ -62,34 +62,9 @@ from wcsim.types.chair import AT_REST as AT_REST
 from wcsim.users.profiles import UserProfile, sample_profile
 from wcsim.users.user import FindUser, SimulatedUser, User
 
-
-class _ShownActors:
-    """The actors that the cameras of one seat have shown, each with the tick in which they last did so."""
-
-    def __init__(self, world: WorldConfig) -> None:
-        """`world` says how long a tick is."""
-        self._ticks = round(_REMEMBERED_S / world.tick_s)
-        self._last: dict[str, int] = {}
-
-    def forget(self) -> None:
-        """Forget everybody: another episode begins."""
-        self._last.clear()
-
-    def see(self, tick: int, shown_px: Mapping[str, float]) -> None:
-        """Take what the cameras show in this tick: pixels by actor, as in a picture of 320x240."""
-        seen = {name: tick for name, pixels in shown_px.items() if pixels >= _VISIBLE_PX}
-        kept = {name: last for name, last in self._last.items() if tick - last <= self._ticks}
-        # What is seen now comes last, as it replaces an older tick.
-        self._last = {**kept, **seen}
-
-    def known(self, actors: Sequence[ActorState]) -> tuple[ActorState, ...]:
-        """Those of the actors that were shown no longer ago than they are remembered, where they are now."""
-        return tuple(actor for actor in actors if actor.whole_id in self._last)
-
-
-GOAL_RANGE_M = (60.0, 400.0)
-SPAWN_TRIES = 400
-CLEAR_SPAWN_M = 2.0  # kept free around a chair when it appears
+_GOAL_RANGE_M = (60.0, 400.0)
+_SPAWN_TRIES = 400
+_CLEAR_SPAWN_M = 2.0  # free around a chair when it appears
 _LONGEST_ID = 60
 _VISIBLE_PX = 16.0  # of 320x240, from which an actor counts as shown
 _REMEMBERED_S = 1.0  # since it was shown
@@ -99,7 +74,7 @@ XY = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Start:
-    """Where an episode begins; a seat with a fixed start keeps its user's exact parameters too."""
+    """Where an episode starts; with a fixed start its user has exactly its profile."""
 
     p_W_m: F64  # (3,) on the ground
     yaw_rad: float
@@ -110,15 +85,21 @@ class Ego:
     """A wheelchair with its user; `World` calls its methods in the order of a tick."""
 
     def __init__(
-        self, index: int, spec: SeatSpec, config: RunConfig, street: Street, router: Router, find_user: FindUser
+        self,
+        index: int,
+        spec: SeatSpec,
+        config: RunConfig,
+        street: Street,
+        router: Router,
+        find_user: FindUser,
     ) -> None:
-        """Nothing is in the world before `build`. Raises ConfigError for a spec that cannot be used."""
+        """Nothing is in the world before `build`; ConfigError for a spec that cannot be used."""
         self.index = index
         self.spec = spec
         check_in_town(spec.start, router)
         self.person = find_user(spec.profile)
         self._config = config
-        # Who is told what is near sees no pictures; colours are for people, who may watch.
+        # Who gets what is near as rows sees no pictures; colours are for people, who may watch.
         self._drawn = not spec.near or any(camera.rgb for camera in config.cameras)
         self._street = street
         self._router = router
@@ -126,7 +107,9 @@ class Ego:
         wheels_m = np.column_stack([plant.stand_m(), plant.trails_m()])
         rims_m = np.array(plant.rims_m()).reshape(-1, 3)  # none of a high frame
         points, tick_s = action_set(config.env.lattice).points, config.world.tick_s
-        self._oracle = CrashOracle(street.grid, config.chair, plant.outline, wheels_m, rims_m, points, tick_s)
+        self._oracle = CrashOracle(
+            street.grid, config.chair, plant.outline, wheels_m, rims_m, points, tick_s
+        )
         self._variation = Randomization(config, index)
         self.chair: Wheelchair  # of this epoch: from `build` on
         self._rig: CameraRig
@@ -135,7 +118,8 @@ class Ego:
         self._start: _Start
         self._next_start: StartSpec | None = None  # of the next episode alone
         self.fitting: DrawnChair | None = None
-        self.habits: AttentionModel | None = None  # of the others towards this chair, when they were drawn
+        # Of the others towards this chair, when they were drawn.
+        self.habits: AttentionModel | None = None
         self._waiting = deque[Joystick]()  # commands that the chair has not obeyed yet
         self._obstacles = ObstacleWatch(street.grid)
         self._crossing = CrossingWatch(street.grid, street.walk)
@@ -158,7 +142,7 @@ class Ego:
 
     @property
     def plant(self) -> PlantState:
-        """Where its chair is and how it moves; until it has been put at its start, at rest there."""
+        """Where its chair is and how it moves; at rest until it has been put at its start."""
         plant = self.chair.state()
         if self._stands or not self.spawned:
             return plant
@@ -166,29 +150,41 @@ class Ego:
         return replace(plant, p_WB_m=start.p_W_m, yaw_rad=start.yaw_rad, v_B_mps=np.zeros(3))
 
     @property
-    def begun(self) -> int:
-        """How many episodes of this seat have begun in this epoch, those before it was taken among them."""
+    def started(self) -> int:
+        """How many episodes have started in this epoch, also those before the seat was taken."""
         return self._episode + 1
 
-    def build(self, engine: Engine, rig: CameraRig, seed: int, begun: int = 0) -> None:
-        """Put a new wheelchair into an engine; the old one has gone. `begun` episodes of the epoch were others'."""
+    def build(self, engine: Engine, rig: CameraRig, seed: int, started: int = 0) -> None:
+        """Put a new wheelchair into an engine; `started` episodes of the epoch were others'."""
         self._seed = seed
-        self._episode = begun - 1
+        self._episode = started - 1
         self.spawned = self._stands = False
         self._rig = rig
         others = {"cameras": self._config.cameras, **self._config.sensors.on()}
         tick_s = self._config.world.tick_s
-        self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index, others, rig, tick_s)
-        self._keys = {name: seeding.derive_rng_key(seed, name, self.index) for name in self.chair.sensors.names}
+        self.chair = Wheelchair(
+            engine, self._config.chair, self._config.imu, self.index, others, rig, tick_s
+        )
+        names = self.chair.sensors.names
+        self._keys = {name: seeding.derive_rng_key(seed, name, self.index) for name in names}
 
     def spawn(self, taken: TakenNear, habits: AttentionModel) -> None:
-        """Begin the next episode: a clear start, where it has yet to `stand`, a user and a route.
+        """Start the next episode: a clear place, where it has yet to `stand`, a user and a route.
 
-        `habits` of the street.
+        `habits` are those of the street.
         """
-        self._vary()
-        self.habits = None if self.fitting is None else habits.towards(self.fitting.drawn)
-        # A generator for each episode: its start does not depend on how much earlier ones drew.
+        # 1. The chair is what it is in this episode.
+        delay = self._config.world.action_delay_ticks
+        self.fitting = self._variation.fitting(self._seed, self._episode + 1)
+        self.habits = None
+        if self.fitting is not None:
+            self.chair.become(self.fitting.spec, self.fitting.sensors)
+            drawn = self.fitting.drawn.action_delay_ticks
+            delay = delay if drawn is None else drawn
+            self.habits = habits.towards(self.fitting.drawn)
+        # Until the first command has come through, the stick is at rest.
+        self._waiting = deque([AT_REST] * delay)
+        # 2. A generator for each episode: its start does not depend on how much earlier ones drew.
         rng = seeding.make_rng(self._seed, "seat", self.index, self._episode + 1)
         fixed, self._next_start = self._next_start or self.spec.start, None
         if fixed is None:
@@ -200,39 +196,38 @@ class Ego:
         self._step = 0
         self._progress_m = 0.0
         self._start = start
-        self.user = self._new_user()
+        # 3. Its user. With a fixed start it has exactly its profile.
+        exact = self.person
+        if isinstance(exact, UserProfile):
+            rng = seeding.make_rng(self._seed, "user", self.index, self._episode)
+            profile = sample_profile(exact, rng) if self.spec.start is None else exact
+            chair, outline = self._config.chair, self.chair.outline
+            self.user = SimulatedUser(profile, rng, chair, outline, self._street)
+        else:
+            self.user = exact.user(self._episode, self.chair.outline)
+        # 4. All that remembers anything starts anew.
         self._obstacles = ObstacleWatch(self._street.grid)
         self._crossing = CrossingWatch(self._street.grid, self._street.walk)
         self._shown_actors.forget()
         self._follow(start.route)
 
     def begin_next_at(self, start: StartSpec | None) -> None:
-        """Let the next episode begin there. Raises ConfigError for a start that cannot be."""
+        """Let the next episode start there. Raises ConfigError for a start that cannot be."""
         check_in_town(start, self._router)
         self._next_start = start
 
     def start_facing(self, xy: XY, goal: XY, taken: TakenNear) -> StartSpec | None:
-        """A start at this place that faces its way to the goal; None where it is not clear, but for this chair."""
+        """A start here that faces its way to the goal; None where others are in the way."""
         yaw_rad = heading_rad(self._router.route(xy, goal), 0.0, np.array(xy))
         # The chair leaves the place where it stands, so it is not in its own way.
-        own, clear_m = chair_actor_id(self.index), CLEAR_SPAWN_M
+        own, clear_m = chair_actor_id(self.index), _CLEAR_SPAWN_M
 
         def others(xy_W_m: F64, radius_m: float) -> list[ActorState]:
             return [actor for actor in taken(xy_W_m, radius_m) if actor.id != own]
 
-        clear = is_clear(self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, others)
+        place = self._street.grid, self.chair.outline, np.array(xy), yaw_rad
+        clear = is_clear(*place, clear_m, others)
         return StartSpec(p_W_m=xy, yaw_rad=yaw_rad, goal_W_m=goal) if clear else None
-
-    def _vary(self) -> None:
-        """Make the chair what it is in the next episode, and let no command of the last one reach it."""
-        delay = self._config.world.action_delay_ticks
-        self.fitting = self._variation.fitting(self._seed, self._episode + 1)
-        if self.fitting is not None:
-            self.chair.become(self.fitting.spec, self.fitting.sensors)
-            drawn = self.fitting.drawn.action_delay_ticks
-            delay = delay if drawn is None else drawn
-        # Until the first command has come through, the stick is at rest.
-        self._waiting = deque([AT_REST] * delay)
 
     def command(self, joystick: Joystick) -> None:
         """Take a command; the chair obeys it after the delay."""
@@ -241,29 +236,34 @@ class Ego:
         self.chair.command(self._waiting.popleft())
 
     def meets_edge(self) -> bool:
-        """Whether one of the chair's wheels is about to meet the edge of a kerb in the coming tick."""
-        return meets_edge(self.chair.state(), self.chair.wheels_m, self._street.grid, self._config.world.tick_s)
+        """Whether one of the chair's wheels is about to meet the edge of a kerb."""
+        chair, tick_s = self.chair, self._config.world.tick_s
+        return meets_edge(chair.state(), chair.wheels_m, self._street.grid, tick_s)
 
     def stand(self) -> None:
-        """Put the chair at the start of this episode, on the street that has to be in the engine by now."""
+        """Put the chair at the start of this episode; its street has to be in the engine."""
         self._stands = True
         self.chair.place(self._start.p_W_m, self._start.yaw_rad)
         at = (self.index, "start", self._episode)
-        self.chair.sensors.start({name: seeding.derive_rng_key(self._seed, name, *at) for name in self._keys})
+        keys = {name: seeding.derive_rng_key(self._seed, name, *at) for name in self._keys}
+        self.chair.sensors.start(keys)
 
     def end_tick(self, tick: int) -> None:
-        """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""
+        """Close the tick's measurements, with noise by seat, sensor and tick; move the hand."""
         self.chair.end_tick({name: child(key, tick) for name, key in self._keys.items()})
         world = self._config.world
         self.user.move_hand(world.finest_substeps, world.tick_s / world.finest_substeps)
 
-    def look(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> None:
+    def look(
+        self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]
+    ) -> None:
         """Show the user the street, and see where in it the chair is."""
         self.user.look(self.view(time_s, others, signals))
         self._on_road = self._crossing.see(self.as_actor(), time_s, signals)
-        self.asks = self._button.see(self.user.route_progress_m, float(self.plant.v_B_mps[0]), time_s, signals)
-        self._progressed_m = self.user.route_progress_m - self._progress_m
-        self._progress_m = self.user.route_progress_m
+        arc_m = self.user.route_progress_m
+        self.asks = self._button.see(arc_m, float(self.plant.v_B_mps[0]), time_s, signals)
+        self._progressed_m = arc_m - self._progress_m
+        self._progress_m = arc_m
 
     def next_destination(self) -> None:
         """After an arrival, or when the user gave up: the episode goes on to another place."""
@@ -280,7 +280,7 @@ class Ego:
         signals: Sequence[SignalState],
         buffers: SeatBuffers | None = None,
     ) -> Surroundings:
-        """What there is to see in this tick; the images are made in `buffers` when they are given."""
+        """What there is to see in this tick; the images are made in `buffers` if given."""
         return Surroundings(
             tick=tick,
             plant=self.chair.state(),
@@ -293,20 +293,32 @@ class Ego:
         )
 
     def observe(self, scene: Surroundings, others: Sequence[ActorState]) -> SensorFrame:
-        """All sensors of this tick, and what is near where the seat asked for it."""
+        """All sensors of this tick, and what is near where the seat has requested it."""
         frame = self.chair.sensors.observe(scene)
         if scene.counted:
             self._shown_actors.see(scene.tick, self._rig.shown_px(self.index))
         if not self.spec.near:
             return frame
         user, grid = self.user, self._street.grid
-        rows = near_rows(self.chair.state(), user.joystick, self.route, user.route_progress_m, grid, others)
+        way = self.route, user.route_progress_m
+        rows = near_rows(self.chair.state(), user.joystick, *way, grid, others)
         return replace(frame, readings=(*frame.readings, Reading(name=NEAR, values=rows.ravel())))
 
     def events(self, jam_teleports: int, first: bool) -> Events:
         """What this tick did to the episode; the first frame of an episode has no events."""
         self._step += not first
-        reason = "" if first else self._crash_reason()
+        reason = crash = ""
+        if not first:
+            chair, street, config = self.chair, self._street, self._config.reward
+            dropped = config.drop and fell(*chair.wheel_track(), street.grid)
+            felt = chair.imu(), chair.state(), chair.contacts()
+            reason = find_crash_reason(*felt, config, dropped=dropped)
+        if reason:
+            east_m, north_m, _ = chair.state().p_WB_m + street.net_origin_m
+            (edge, *_) = edges_ahead(street.walk, self.route, self.user.route_progress_m)
+            words = describe_crash(reason, chair.contacts(), config)
+            place = f"x {east_m:.1f} y {north_m:.1f} in the net, edge {edge[:_LONGEST_ID]}"
+            crash = f"{words}, at {place}"
         return Events(
             episode=self._episode,
             step=self._step,
@@ -320,37 +332,29 @@ class Ego:
             on_carriageway=self._on_road.on_carriageway,
             crossed=self._on_road.crossed,
             entered_red=self._on_road.entered_red,
-            crash=self._crash_message(reason) if reason else "",
+            crash=crash,
             help_asked=not first and self.user.requests_help,
         )
 
-    def _crash_message(self, reason: str) -> str:
-        chair, street = self.chair, self._street
-        east_m, north_m, _ = chair.state().p_WB_m + street.net_origin_m
-        (edge, *_) = edges_ahead(street.walk, self.route, self.user.route_progress_m)
-        words = describe_crash(reason, chair.contacts(), self._config.reward)
-        return f"{words}, at x {east_m:.1f} y {north_m:.1f} in the net, edge {edge[:_LONGEST_ID]}"
-
-    def _crash_reason(self) -> str:
-        chair, config = self.chair, self._config.reward
-        dropped = config.drop and fell(*chair.wheel_track(), self._street.grid)
-        return find_crash_reason(chair.imu(), chair.state(), chair.contacts(), config, dropped=dropped)
-
     def truth(self, others: Sequence[ActorState]) -> Truth | None:
-        """Danger, and when each action goes wrong, on the true geometry; for a seat that asked for it."""
+        """Danger, and when each action goes wrong, for a seat that has requested the truth."""
         if not (self.spec.truth or self.spec.truth_visible):
             return None
         plant, stick, waiting = self.chair.state(), self.user.joystick, tuple(self._waiting)
         known = self._shown_actors.known(others) if self.spec.truth_visible else None
-        seen = self._oracle.assess(plant, stick, others, waiting, known, self.chair.drive_accel_mps2())
+        accel_mps2 = self.chair.drive_accel_mps2()
+        seen = self._oracle.assess(plant, stick, others, waiting, known, accel_mps2)
         return replace(seen, intent=self.user.intent, progress_m=self._progressed_m)
 
     def in_danger(self, others: Sequence[ActorState]) -> bool:
-        """Whether the user's stick of now ends badly: `Truth.danger`, for a seat that has asked for no truth."""
+        """Whether the user's stick of now ends badly: `Truth.danger`, for any seat."""
         plant, waiting = self.chair.state(), tuple(self._waiting)
-        return self._oracle.danger(plant, self.user.joystick, others, waiting, self.chair.drive_accel_mps2())
+        accel_mps2 = self.chair.drive_accel_mps2()
+        return self._oracle.danger(plant, self.user.joystick, others, waiting, accel_mps2)
 
-    def snapshot(self, tick: int, sensors: SensorFrame, events: Events, truth: Truth | None) -> ClientSnapshot:
+    def snapshot(
+        self, tick: int, sensors: SensorFrame, events: Events, truth: Truth | None
+    ) -> ClientSnapshot:
         """This seat's share of the world's snapshot."""
         return ClientSnapshot(
             seat=self.index,
@@ -369,12 +373,25 @@ class Ego:
         return chair_pose(self.index, self.chair.state(), self.chair.outline)
 
     def as_actor(self) -> ActorState:
-        """This chair as other users and the street see it; made once for each state of the chair."""
+        """This chair as other users and the street see it, made once for each of its states."""
         plant = self.plant
         # By identity: the chair makes a new state whenever it has moved.
-        if self._shown is None or self._shown[0] is not plant:
-            self._shown = (plant, _as_actor(chair_actor_id(self.index), plant, self.chair.outline))
-        return self._shown[1]
+        if self._shown is not None and self._shown[0] is plant:
+            return self._shown[1]
+        outline, cos, sin = self.chair.outline, math.cos(plant.yaw_rad), math.sin(plant.yaw_rad)
+        (x, y, z), (ahead_mps, left_mps, _) = plant.p_WB_m.tolist(), plant.v_B_mps.tolist()
+        vx, vy = ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos
+        actor = ActorState(
+            id=chair_actor_id(self.index),
+            kind=ActorKind.WHEELCHAIR,
+            p_W_m=np.array([x + outline.middle_x_m * cos, y + outline.middle_x_m * sin, z]),
+            yaw_rad=plant.yaw_rad,
+            pitch_rad=plant.pitch_rad,
+            v_W_mps=np.array([vx, vy, 0.0]),
+            size_lwh_m=outline.size_lwh_m,
+        )
+        self._shown = plant, actor
+        return actor
 
     def in_street(self) -> ChairInStreet:
         """This chair as drivers and people see it, with their habits towards it."""
@@ -406,27 +423,17 @@ class Ego:
             button_tls_id="" if self.asks is None else self.asks.tls_id,
         )
 
-    def _new_user(self) -> User:
-        exact = self.person
-        if not isinstance(exact, UserProfile):
-            return exact.user(self._episode, self.chair.outline)
-        rng = seeding.make_rng(self._seed, "user", self.index, self._episode)
-        return SimulatedUser(
-            sample_profile(exact, rng) if self.spec.start is None else exact,
-            rng,
-            self._config.chair,
-            self.chair.outline,
-            self._street,
-        )
-
     def _follow(self, route: Route) -> None:
         self.route = route
         self.user.follow(route)
-        self._button = CrossingButton(route, self._street, 0.5 * self.chair.outline.length_m, self._config.world)
+        half_m = 0.5 * self.chair.outline.length_m
+        self._button = CrossingButton(route, self._street, half_m, self._config.world)
         self.asks = None
         self._progress_m = self.user.route_progress_m
 
-    def view(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> UserView:
+    def view(
+        self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]
+    ) -> UserView:
         """What the user of this seat may know of the street now; it notices only who is near."""
         plant = self.chair.state()
         return UserView(
@@ -445,73 +452,68 @@ class Ego:
         return _Start(p_W_m=p_W_m, yaw_rad=yaw_rad, route=self._router.route(xy, goal))
 
     def _draw_start(self, rng: np.random.Generator, taken: TakenNear) -> _Start:
-        """A start on flat walkable ground, `CLEAR_SPAWN_M` from everything that moves; relaxed when nothing is free."""
-        clear_m = CLEAR_SPAWN_M
-        for attempt in range(1, SPAWN_TRIES + 1):
+        """A start on flat walkable ground, `_CLEAR_SPAWN_M` from all that moves if possible."""
+        clear_m = _CLEAR_SPAWN_M
+        for attempt in range(1, _SPAWN_TRIES + 1):
             xy, yaw_rad = self._router.random_start(rng)
-            if is_clear(self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, taken):
+            place = self._street.grid, self.chair.outline, np.array(xy), yaw_rad
+            if is_clear(*place, clear_m, taken):
                 break
             # A crowded town gets a start in the end: a little less room after every hundred tries.
             clear_m *= 0.7 if attempt % 100 == 0 else 1.0
         return self._start_at(xy, yaw_rad, self._draw_goal(rng, xy))
 
     def _draw_goal(self, rng: np.random.Generator, xy: XY) -> XY:
-        return self._router.random_goal(rng, xy, *GOAL_RANGE_M, self._config.world.crossing_share)
-
-
-def _as_actor(name: str, plant: PlantState, outline: Outline) -> ActorState:
-    cos, sin = math.cos(plant.yaw_rad), math.sin(plant.yaw_rad)
-    (x, y, z), (ahead_mps, left_mps, _) = plant.p_WB_m.tolist(), plant.v_B_mps.tolist()
-    return ActorState(
-        id=name,
-        kind=ActorKind.WHEELCHAIR,
-        p_W_m=np.array([x + outline.middle_x_m * cos, y + outline.middle_x_m * sin, z]),
-        yaw_rad=plant.yaw_rad,
-        pitch_rad=plant.pitch_rad,
-        v_W_mps=np.array([ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos, 0.0]),
-        size_lwh_m=outline.size_lwh_m,
-    )
+        return self._router.random_goal(rng, xy, *_GOAL_RANGE_M, self._config.world.crossing_share)
 
 
 class EgoSlots:
-    """Who sits where; `present` holds the taken seats in the order of their numbers."""
+    """The places of a world; `present` holds the taken seats in the order of their numbers."""
 
     def __init__(
-        self, specs: tuple[SeatSpec | None, ...], config: RunConfig, street: Street, town: Town, find_user: FindUser
+        self,
+        specs: tuple[SeatSpec | None, ...],
+        config: RunConfig,
+        street: Street,
+        town: Town,
+        find_user: FindUser,
     ) -> None:
         """One place for each of `specs`, free where it is None.
 
         Raises:
-            ConfigError: a camera is inside the chair's body, or a spec holds something that cannot be used.
+            ConfigError: a camera is inside the chair's body, or a spec holds something that cannot
+                be used.
             TownError: there are places, but the town has no pavement to drive on.
         """
         self.present: tuple[Ego, ...] = ()
         self._config, self._street, self._town, self._find_user = config, street, town, find_user
-        self._begun = [0] * len(specs)  # episodes of the epoch, by place
+        self._started = [0] * len(specs)  # episodes of the epoch, by place
         self._seed = 0
         if specs:
             refuse_cameras_inside(config.cameras, plant_spec(config.chair))
             require_pavement(street, town)
             self._router = Router(street.walk)
-            self.present = tuple(self._seat(number, spec) for number, spec in enumerate(specs) if spec is not None)
+            taken = [(number, spec) for number, spec in enumerate(specs) if spec is not None]
+            self.present = tuple(self._seat(number, spec) for number, spec in taken)
 
     def at(self, number: int) -> Ego:
         """The seat of this number. Raises ProtocolError when it is free or not there."""
         self._check(number)
         seat = self._find(number)
         if seat is None:
-            raise ProtocolError(f"seat {number} is free; expected one of {[seat.index for seat in self.present]}")
+            taken = [seat.index for seat in self.present]
+            raise ProtocolError(f"seat {number} is free; expected one of {taken}")
         return seat
 
     def build(self, engine: Engine, rig: CameraRig, seed: int) -> None:
-        """Begin an epoch: a new wheelchair in a new engine for each seat that is taken."""
+        """Start an epoch: a new wheelchair in a new engine for each seat that is taken."""
         self._seed = seed
-        self._begun = [0] * len(self._begun)
+        self._started = [0] * len(self._started)
         for seat in self.present:
             seat.build(engine, rig, seed)
 
     def admit(self, engine: Engine, rig: CameraRig, number: int, spec: SeatSpec) -> Ego:
-        """Take a free seat; its wheelchair is parked in the engine until its first episode is begun.
+        """Take a free seat; its chair is parked in the engine until its first episode starts.
 
         Raises:
             ProtocolError: the seat is taken or not there.
@@ -519,23 +521,26 @@ class EgoSlots:
         """
         self._check(number)
         if self._find(number) is not None:
-            raise ProtocolError(f"seat {number} is taken; expected one of the free ones {self._free() or '(none)'}")
+            free = [place for place in range(len(self._started)) if self._find(place) is None]
+            raise ProtocolError(
+                f"seat {number} is taken; expected one of the free ones {free or '(none)'}"
+            )
         seat = self._seat(number, spec)
-        seat.build(engine, rig, self._seed, self._begun[number])
-        # Commands and snapshots are in the order of the seats, whoever came last.
+        seat.build(engine, rig, self._seed, self._started[number])
+        # Commands and snapshots are in the order of the seats.
         self.present = tuple(sorted((*self.present, seat), key=lambda item: item.index))
         return seat
 
     def dismiss(self, number: int) -> None:
-        """Free a seat: its wheelchair leaves the engine. Raises ProtocolError when the seat is free or not there."""
-        self._begun[number] = self.at(number).begun
+        """Free a seat: its wheelchair leaves the engine. ProtocolError unless it is taken."""
+        self._started[number] = self.at(number).started
         self.revoke(number)
 
     def revoke(self, number: int) -> None:
-        """The same for a seat whose first episode could not begin, which then does not count."""
-        gone = self.at(number)
-        self.present = tuple(seat for seat in self.present if seat is not gone)
-        gone.chair.remove()
+        """The same for a seat whose first episode could not start, which then does not count."""
+        freed = self.at(number)
+        self.present = tuple(seat for seat in self.present if seat is not freed)
+        freed.chair.remove()
         for seat in self.present:
             # The next chair in this seat has the same id, and no part in who touched whom before.
             seat.chair.forget(chair_actor_id(number))
@@ -549,9 +554,32 @@ class EgoSlots:
     def _find(self, number: int) -> Ego | None:
         return next((seat for seat in self.present if seat.index == number), None)
 
-    def _free(self) -> list[int]:
-        return [number for number in range(len(self._begun)) if self._find(number) is None]
-
     def _check(self, number: int) -> None:
-        if not 0 <= number < len(self._begun):
-            raise ProtocolError(f"there is no seat {number}; expected 0 or more and less than {len(self._begun)}")
+        if not 0 <= number < len(self._started):
+            raise ProtocolError(
+                f"there is no seat {number}; expected 0 or more and less than {len(self._started)}"
+            )
+
+
+class _ShownActors:
+    """The actors that the cameras of one seat have shown, with the last tick of each."""
+
+    def __init__(self, world: WorldConfig) -> None:
+        """`world` says how long a tick is."""
+        self._ticks = round(_REMEMBERED_S / world.tick_s)
+        self._last: dict[str, int] = {}
+
+    def forget(self) -> None:
+        """Forget everybody: another episode starts."""
+        self._last.clear()
+
+    def see(self, tick: int, shown_px: Mapping[str, float]) -> None:
+        """Take what the cameras show in this tick: pixels by actor, as in a picture of 320x240."""
+        seen = {name: tick for name, pixels in shown_px.items() if pixels >= _VISIBLE_PX}
+        recent = {name: last for name, last in self._last.items() if tick - last <= self._ticks}
+        # What is seen now comes last, as it replaces an older tick.
+        self._last = {**recent, **seen}
+
+    def known(self, actors: Sequence[ActorState]) -> tuple[ActorState, ...]:
+        """Those of the actors that were shown lately enough, where they are now."""
+        return tuple(actor for actor in actors if actor.whole_id in self._last)

@@ -1,6 +1,7 @@
-"""What differs from episode to episode: drawn from the ranges of `[vary]`, each name from a seed of its own.
+"""What differs from episode to episode, drawn from the ranges of `[vary]`.
 
-So a seat's draws do not change when another range is added, and every seat has others.
+Each name has a seed of its own. So a seat's draws do not change when another range is added, and
+every seat has others.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -33,25 +34,38 @@ class Randomization:
     """Draws the episodes of one seat; with nothing in `[vary]` it gives None.
 
     Raises:
-        ConfigError: A range leaves the bounds of what it names; says the value, its unit and the bounds.
+        ConfigError: A range leaves the bounds of what it names, with value, unit and bounds.
     """
 
     def __init__(self, config: RunConfig, seat: int) -> None:
-        self._vary, self._cameras, self._sensors, self._seat = config.vary, config.cameras, config.sensors, seat
-        if not self._vary.nothing:
-            self._spec = plant_spec(config.chair)
-            self._step_s = config.world.tick_s / config.world.usual_substeps
-            _check_names(self._vary)
-            for key, check in _ends(config, self._spec, self._step_s):
-                try:
-                    check()
-                except ConfigError as error:
-                    raise ConfigError(f"{key}: {error}") from None
+        self._vary = vary = config.vary
+        self._cameras, self._sensors, self._seat = config.cameras, config.sensors, seat
+        if vary.nothing:
+            return
+        self._spec = plant_spec(config.chair)
+        self._step_s = config.world.tick_s / config.world.usual_substeps
+        # Numbers of a plant that change nothing in an episode, or that another range draws as well.
+        for name in vary.plant:
+            if name.startswith(("limits.", "climbs.", "chair.")):
+                raise ConfigError(
+                    f"vary.plant.{name}: changes nothing in an episode; "
+                    "expected a number of its body"
+                )
+            if name == "mass.user_kg" and vary.user_mass_kg is not None:
+                raise ConfigError(
+                    f"vary.plant.{name}: vary.user_mass_kg draws it too; expected only one of them"
+                )
+        for key, check in _ends(config, self._spec, self._step_s):
+            try:
+                check()
+            except ConfigError as error:
+                raise ConfigError(f"{key}: {error}") from None
 
     def fitting(self, seed: int, episode: int) -> DrawnChair | None:
         """The chair of an episode, None when all are alike.
 
-        Raises ConfigError when TRIES draws have given no chair that can stand.
+        Raises:
+            ConfigError: TRIES draws have given no chair that can stand.
         """
         if self._vary.nothing:
             return None
@@ -66,11 +80,26 @@ class Randomization:
                 fault = error
                 continue
             return DrawnChair(drawn=drawn, spec=spec, cameras=cameras, sensors=sensors)
-        raise ConfigError(f"vary: {TRIES} draws gave no chair that can stand up; expected narrower ranges: {fault}")
+        raise ConfigError(
+            f"vary: {TRIES} draws gave no chair that can stand up; "
+            f"expected narrower ranges: {fault}"
+        )
 
 
-def _draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, attempt: int = 0) -> Drawn:
-    """What the ranges give for an episode of a seat; `attempt` counts draws that could not be used."""
+def moved(cameras: tuple[CameraConfig, ...], drawn: Drawn) -> tuple[CameraConfig, ...]:
+    """The cameras of an episode; raises ConfigError when one is out of its bounds."""
+    shifts = drawn.camera_shift_m or ((0.0, 0.0, 0.0),) * len(cameras)
+    turns = drawn.camera_turn_rad or ((0.0, 0.0),) * len(cameras)
+    return tuple(
+        _mounted(camera, shift, frames.rad2deg(yaw_rad), frames.rad2deg(pitch_rad))
+        for camera, shift, (yaw_rad, pitch_rad) in zip(cameras, shifts, turns, strict=True)
+    )
+
+
+def _draw(
+    vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, attempt: int = 0
+) -> Drawn:
+    """What the ranges give for an episode; `attempt` counts draws that could not be used."""
 
     def numbers(name: str, span: tuple[float, float] | None, count: int = 1) -> list[float]:
         if span is None:
@@ -78,7 +107,9 @@ def _draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, at
         rng = seeding.make_rng(seed, "vary", seat, episode, name, attempt)
         return [float(value) for value in rng.uniform(*span, count)]
 
-    def by_class(name: str, spans: Iterable[tuple[str, tuple[float, float]]]) -> tuple[tuple[str, float], ...]:
+    def by_class(
+        name: str, spans: Iterable[tuple[str, tuple[float, float]]]
+    ) -> tuple[tuple[str, float], ...]:
         return tuple(
             (key, float(seeding.make_rng(seed, "vary", seat, episode, name, key).uniform(*span)))
             for key, span in sorted(spans)
@@ -89,24 +120,27 @@ def _draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, at
     ticks = vary.action_delay_ticks
     # Without the attempt: no delay keeps a chair from standing, so it is never drawn again.
     rng = seeding.make_rng(seed, "vary", seat, episode, "action_delay_ticks")
+    shift_m = zip(*(shifts[k::3] for k in range(3)), strict=True)
+    turn_deg = zip(turns[::2], turns[1::2], strict=True)
     return Drawn(
         light=_first(numbers("light", vary.light)),
         friction=_first(numbers("friction", vary.friction)),
         user_mass_kg=_first(numbers("user_mass_kg", vary.user_mass_kg)),
-        camera_shift_m=tuple((x, y, z) for x, y, z in zip(*(shifts[k::3] for k in range(3)), strict=True)),
-        camera_turn_rad=tuple(
-            (frames.deg2rad(a), frames.deg2rad(b)) for a, b in zip(turns[::2], turns[1::2], strict=True)
-        ),
+        camera_shift_m=tuple((x, y, z) for x, y, z in shift_m),
+        camera_turn_rad=tuple((frames.deg2rad(a), frames.deg2rad(b)) for a, b in turn_deg),
         action_delay_ticks=None if ticks is None else int(rng.integers(ticks[0], ticks[1] + 1)),
         plant=tuple((name, numbers(name, span)[0]) for name, span in sorted(vary.plant.items())),
         attention=by_class("attention", vary.attention.items()),
         reaction_s=by_class("reaction", vary.reaction.items()),
-        sensors=tuple((name, numbers(f"sensors.{name}", span)[0]) for name, span in sorted(vary.sensors.items())),
+        sensors=tuple(
+            (name, numbers(f"sensors.{name}", span)[0])
+            for name, span in sorted(vary.sensors.items())
+        ),
     )
 
 
 def _with_drawn(spec: PlantSpec, drawn: Drawn) -> PlantSpec:
-    """The plant of an episode. Raises ConfigError when a value is out of bounds or the chair cannot stand."""
+    """The plant of an episode; raises ConfigError for one out of bounds or that cannot stand."""
     values = dict(drawn.plant)
     if drawn.user_mass_kg is not None:
         values["mass.user_kg"] = drawn.user_mass_kg
@@ -118,18 +152,10 @@ def _with_drawn(spec: PlantSpec, drawn: Drawn) -> PlantSpec:
     return varied(spec, {name: value * drawn.friction for name, value in rolling.items()})
 
 
-def moved(cameras: tuple[CameraConfig, ...], drawn: Drawn) -> tuple[CameraConfig, ...]:
-    """The cameras as they are mounted in an episode. Raises ConfigError when one is out of its bounds."""
-    shifts = drawn.camera_shift_m or ((0.0, 0.0, 0.0),) * len(cameras)
-    turns = drawn.camera_turn_rad or ((0.0, 0.0),) * len(cameras)
-    return tuple(
-        _mounted(camera, shift, frames.rad2deg(yaw_rad), frames.rad2deg(pitch_rad))
-        for camera, shift, (yaw_rad, pitch_rad) in zip(cameras, shifts, turns, strict=True)
-    )
-
-
 def _retuned(sensors: SensorsConfig, drawn: tuple[tuple[str, float], ...]) -> SensorsConfig:
-    """The sensors as they measure in an episode; `drawn` are values by section.key, rounded for whole ones.
+    """The sensors as they measure in an episode.
+
+    `drawn` are values by section.key, rounded for whole ones.
 
     Raises ConfigError when there is no such sensor or number, or a value is out of bounds.
     """
@@ -138,8 +164,11 @@ def _retuned(sensors: SensorsConfig, drawn: tuple[tuple[str, float], ...]) -> Se
         section, _, key = name.partition(".")
         old = data.get(section, {}).get(key)
         if isinstance(old, bool) or not isinstance(old, int | float):
-            numbers = [f"{s}.{k}" for s, keys in data.items() for k, v in keys.items() if type(v) in (int, float)]
-            raise ConfigError(f"{name}: not a number of an existing sensor; expected one of {numbers}")
+            values = [(f"{s}.{k}", v) for s, keys in data.items() for k, v in keys.items()]
+            numbers = [key for key, v in values if type(v) in (int, float)]
+            raise ConfigError(
+                f"{name}: not a number of an existing sensor; expected one of {numbers}"
+            )
         data[section][key] = round(value) if isinstance(old, int) else value
     return parse(SensorsConfig, data, "sensors")
 
@@ -147,20 +176,14 @@ def _retuned(sensors: SensorsConfig, drawn: tuple[tuple[str, float], ...]) -> Se
 def _mounted(camera: CameraConfig, shift_m: Vec3, yaw_deg: float, pitch_deg: float) -> CameraConfig:
     x, y, z = (p + s for p, s in zip(camera.p_BC_m, shift_m, strict=True))
     turned = {"yaw_deg": camera.yaw_deg + yaw_deg, "pitch_deg": camera.pitch_deg + pitch_deg}
-    return parse(CameraConfig, {**camera.model_dump(), "p_BC_m": (x, y, z), **turned}, f"camera {camera.name}")
+    data = {**camera.model_dump(), "p_BC_m": (x, y, z), **turned}
+    return parse(CameraConfig, data, f"camera {camera.name}")
 
 
-def _check_names(vary: VaryConfig) -> None:
-    """Refuse numbers of a plant that change nothing in an episode, or that another range draws as well."""
-    for name in vary.plant:
-        if name.startswith(("limits.", "climbs.", "chair.")):
-            raise ConfigError(f"vary.plant.{name}: changes nothing in an episode; expected a number of its body")
-        if name == "mass.user_kg" and vary.user_mass_kg is not None:
-            raise ConfigError(f"vary.plant.{name}: vary.user_mass_kg draws it too; expected only one of them")
-
-
-def _ends(config: RunConfig, spec: PlantSpec, step_s: float) -> Iterator[tuple[str, Callable[[], object]]]:
-    """Both ends of every range by itself, as a name and a check; whether all together can stand is seen when drawn."""
+def _ends(
+    config: RunConfig, spec: PlantSpec, step_s: float
+) -> Iterator[tuple[str, Callable[[], object]]]:
+    """Both ends of every range by itself, as a name and a check; together they are when drawn."""
     vary, cameras = config.vary, config.cameras
     for name, span in vary.plant.items():
         for value in span:
@@ -171,9 +194,11 @@ def _ends(config: RunConfig, spec: PlantSpec, step_s: float) -> Iterator[tuple[s
         yield "vary.friction", partial(_with_drawn, spec, Drawn(friction=factor))
     for camera in cameras:
         for shift_m in vary.camera_shift_m or ():
-            yield "vary.camera_shift_m", partial(_mounted, camera, (shift_m, shift_m, shift_m), 0.0, 0.0)
+            shifted = partial(_mounted, camera, (shift_m, shift_m, shift_m), 0.0, 0.0)
+            yield "vary.camera_shift_m", shifted
         for turn_deg in vary.camera_turn_deg or ():
-            yield "vary.camera_turn_deg", partial(_mounted, camera, (0.0, 0.0, 0.0), turn_deg, turn_deg)
+            turned = partial(_mounted, camera, (0.0, 0.0, 0.0), turn_deg, turn_deg)
+            yield "vary.camera_turn_deg", turned
     if vary.camera_shift_m is not None:
         check = partial(refuse_cameras_inside, cameras, spec, vary.camera_shift_m)
         yield "vary.camera_shift_m, boxes larger by it", check

@@ -10,7 +10,7 @@ from wcsim.errors import ConfigError
 from wcsim.towns.walking.routes import Router
 from wcsim.types import F64, ActorState, Ground, Outline, PlantState, Route, StartSpec
 
-START_REACH_M = 200.0  # a fixed start or goal lies within this of a pavement
+_START_REACH_M = 200.0  # a fixed start or goal lies within this of a pavement
 
 _LOOK_AHEAD_M = 3.0
 
@@ -18,12 +18,13 @@ TakenNear = Callable[[F64, float], Sequence[ActorState]]
 
 
 def check_in_town(start: StartSpec | None, router: Router) -> None:
-    """Refuse a fixed start from which there is no way anywhere, before anything moves. Raises ConfigError."""
+    """Raise ConfigError for a fixed start from which there is no way anywhere."""
     for what, xy in () if start is None else (("start", start.p_W_m), ("goal", start.goal_W_m)):
-        if not router.away_m(xy) <= START_REACH_M:
+        away_m = router.away_m(xy)
+        if not away_m <= _START_REACH_M:
             raise ConfigError(
-                f"{what} at {xy} m is {router.away_m(xy):.0f} m from the nearest pavement; expected one of the town's "
-                f"places, at most {START_REACH_M:.0f} m away"
+                f"{what} at {xy} m is {away_m:.0f} m from the nearest pavement; "
+                f"expected one of the town's places, at most {_START_REACH_M:.0f} m away"
             )
     if start is not None and not math.isfinite(start.yaw_rad):
         raise ConfigError(f"start with a heading of {start.yaw_rad} rad; expected a finite number")
@@ -41,8 +42,13 @@ def bearing_rad(route: Route, done_m: float, plant: PlantState) -> float:
     return wrap_angle(heading_rad(route, done_m, plant.p_WB_m) - plant.yaw_rad)
 
 
-def is_clear(grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear) -> bool:
-    """Whether a chair can start there: level ground, nothing solid within 0.2 m of its hull, nobody within clear_m."""
+def is_clear(
+    grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear
+) -> bool:
+    """Whether a chair can start there: level ground, nothing solid near, nobody within clear_m.
+
+    Nothing solid is within 0.2 m of its hull.
+    """
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     middle_m, half_m, side_m = outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m
     footprint_B_m = [(middle_m + x * half_m, y * side_m) for x in (-1, 0, 1) for y in (-1, 0, 1)]

@@ -1,6 +1,7 @@
-"""How the others watch out: who looks for wheelchairs, and how long it takes those who do, by class.
+"""How the others watch out: who looks for wheelchairs, and how long it takes them, by class.
 
-A world has habits of its own; where `[vary]` has ranges for them, they are others towards each chair in each episode.
+A world has habits of its own. Where `[vary]` has ranges for them, the habits towards each chair
+differ in each episode.
 """
 
 from __future__ import annotations
@@ -15,22 +16,19 @@ from wcsim.core import seeding
 from wcsim.types import ActorKind, ActorState, Drawn
 
 
-@lru_cache(10_000)
-def _chance(seed: int, actor_id: str) -> float:
-    # A generator for each id: who looks does not depend on who came before.
-    return float(seeding.make_rng(seed, "attention", actor_id).random())
-
-
 @dataclass(frozen=True, slots=True)
 class Attention:
-    """Who looks out for wheelchairs: a property of the actor and of the seed; who looks at a share does at a larger."""
+    """Who looks out for wheelchairs: a property of the actor and of the seed.
+
+    An actor that looks at one share looks at every larger share too.
+    """
 
     share: float
     seed: int
 
     def looks(self, actor_id: str) -> bool:
         """Whether this actor notices wheelchairs at all."""
-        return self.share >= 1.0 or _chance(self.seed, actor_id) < self.share
+        return self.share >= 1.0 or _draw_chance(self.seed, actor_id) < self.share
 
 
 class AttentionModel:
@@ -42,7 +40,8 @@ class AttentionModel:
         Args:
             config: Shares and times; an entry by class goes before those for everybody.
             seed: Of the street; the same one gives the same actors who look.
-            drawn: Of an episode; a number by class goes before all, one for everybody before `config`'s for everybody.
+            drawn: Of an episode; a number by class goes before all, one for everybody before
+                `config`'s for everybody.
         """
         self._config, self._seed = config, seed
         share, usual_s = STREETS[config.street] or (config.attention_share, config.reaction_s)
@@ -51,7 +50,7 @@ class AttentionModel:
         self._reaction_s = _by_class(config.reaction.items(), drawn.reaction_s, usual_s)
 
     def towards(self, drawn: Drawn) -> AttentionModel | None:
-        """Those of the same street towards a chair in an episode; None when nothing was drawn for them."""
+        """Those of this street towards a chair in an episode; None when nothing was drawn."""
         if not (drawn.attention or drawn.reaction_s):
             return None
         return AttentionModel(self._config, self._seed, drawn)
@@ -68,6 +67,12 @@ class AttentionModel:
     def reaction_s(self, actor: ActorState) -> float:
         """Seconds from when a wheelchair can be seen to when it brakes for it."""
         return self._reaction_s[actor.kind]
+
+
+@lru_cache(10_000)
+def _draw_chance(seed: int, actor_id: str) -> float:
+    # A generator for each id: who looks does not depend on who came before.
+    return float(seeding.make_rng(seed, "attention", actor_id).random())
 
 
 def _by_class(

@@ -1,4 +1,4 @@
-"""What the street knows of a wheelchair, and what it tells its actors to do about it."""
+"""What the street knows of a wheelchair, and the commands that its actors get because of it."""
 
 import math
 from dataclasses import dataclass
@@ -23,21 +23,23 @@ class ChairInStreet:
     half_m: tuple[float, float]  # half the length and width of its footprint
     yaw_rad: float = 0.0
     z_m: float = 0.0
-    habits: AttentionModel | None = None  # of the others towards it in this episode; None: as towards everybody
+    # Of the others towards it in this episode; None: as towards everybody.
+    habits: AttentionModel | None = None
 
     def row(self) -> F64:
         """x, y, cos, sin, half length, half width, velocity x and y as (8,)."""
-        return np.array([*self.p_W_m, math.cos(self.yaw_rad), math.sin(self.yaw_rad), *self.half_m, *self.v_W_mps])
+        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return np.array([*self.p_W_m, cos, sin, *self.half_m, *self.v_W_mps])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActorCommand:
-    """What an actor is told for one tick; `LET_GO` as speed gives everything back to SUMO."""
+    """The command of one tick; `LET_GO` as speed gives everything back to SUMO."""
 
     actor_id: str
     speed_mps: float
     hard: bool = False  # harder than SUMO's service brake: the speed is taken as it is
-    keep_lane: bool = False  # no lane change of SUMO's own
+    stay_in_lane: bool = False  # no lane change of SUMO's own
     pushy: bool = False  # a lane change that is ordered takes smaller gaps
     lane_index: int | None = None  # change to this lane
     aside_m: float | None = None  # move over within the lane, left positive

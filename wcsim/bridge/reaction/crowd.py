@@ -1,4 +1,4 @@
-"""Who is near a wheelchair, and what drives beside them: the plain numbers that the deflection reckons with."""
+"""Who is near a wheelchair, and what drives beside them, in plain numbers for the side step."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,12 +9,12 @@ from wcsim.bridge.reaction.commands import ChairInStreet
 from wcsim.core.boxes import Box, box_from_actor
 from wcsim.types import F64, ActorState
 
-CROWD_M = 7.0  # people this near a chair are looked at
+_CROWD_M = 7.0  # people this near a chair are looked at
 PEOPLE_AHEAD_M = 2.5
-NEAR_VEHICLE_M = 4.0
-MOVES_M = 3.0  # more than anybody's offset changes within a tick
+_NEAR_VEHICLE_M = 4.0
+_MOVES_M = 3.0  # more than anybody's offset changes within a tick
 SWEEP_S = 1.5  # people beside a moving vehicle mind where it will be for so long
-MOVING_MPS = 0.1
+_MOVING_MPS = 0.1
 
 Offsets = Mapping[str, tuple[float, float]]
 
@@ -63,7 +63,7 @@ class Vehicle(NamedTuple):
 def crowd_of(
     actors: Sequence[ActorState], chairs: Sequence[ChairInStreet], offsets: Offsets, shifted: bool
 ) -> list[Walker]:
-    """The persons near a chair, those that are still aside, and who is near these, in the actors' order.
+    """The persons near a chair, those still aside, and who is near these, in the actors' order.
 
     Args:
         actors: Everybody near the chairs, sorted.
@@ -82,26 +82,27 @@ def crowd_of(
         x, y, _ = actor.p_W_m.tolist()
         chair_m = min([math.hypot(x - px, y - py) for px, py in places], default=math.inf)
         offset = offsets.get(actor.id)
-        if chair_m > CROWD_M and offset is None:
+        if chair_m > _CROWD_M and offset is None:
             others.append((actor, chair_m))
             continue
         walker = _walker(actor, offset or (0.0, 0.0), shifted, chair_m)
         crowd.append(walker)
-        if offset is not None and chair_m > CROWD_M - PEOPLE_AHEAD_M:
+        if offset is not None and chair_m > _CROWD_M - PEOPLE_AHEAD_M:
             far.append(walker.at)
     if not far:
         return crowd
-    beside = [_walker(actor, (0.0, 0.0), False, chair_m) for actor, chair_m in others if _is_beside(actor, far)]
-    # By id again: orders to SUMO must come in one order.
-    return sorted(crowd + beside, key=lambda walker: walker.id)
+    # SUMO does not know who is aside, so those beside them have to be looked at too.
+    for actor, chair_m in others:
+        x, y, _ = actor.p_W_m.tolist()
+        if any(abs(x - px) + abs(y - py) < 2.0 * PEOPLE_AHEAD_M for px, py in far):
+            crowd.append(_walker(actor, (0.0, 0.0), False, chair_m))
+    # By id again: commands to SUMO must have one order.
+    return sorted(crowd, key=lambda walker: walker.id)
 
 
-def _is_beside(actor: ActorState, places: Sequence[tuple[float, float]]) -> bool:
-    x, y, _ = actor.p_W_m.tolist()
-    return any(abs(x - px) + abs(y - py) < 2.0 * PEOPLE_AHEAD_M for px, py in places)
-
-
-def _walker(actor: ActorState, offset: tuple[float, float], shifted: bool, chair_m: float) -> Walker:
+def _walker(
+    actor: ActorState, offset: tuple[float, float], shifted: bool, chair_m: float
+) -> Walker:
     (x, y, _), (vx, vy, _), (ox, oy) = actor.p_W_m.tolist(), actor.v_W_mps.tolist(), offset
     x, y = (x - ox, y - oy) if shifted else (x, y)
     return Walker(
@@ -120,29 +121,26 @@ def _walker(actor: ActorState, offset: tuple[float, float], shifted: bool, chair
 
 
 def vehicles_near(actors: Sequence[ActorState], crowd: Sequence[Walker]) -> list[Vehicle]:
-    """The boxes of those vehicles that are near to anybody in the crowd, each with how far it is looked at."""
+    """The vehicles near to anybody in the crowd, each with how far around it people mind it."""
     found = []
     places = [walker.at for walker in crowd]
     for actor in actors:
         if actor.is_person:
             continue
         x, y, _ = actor.p_W_m.tolist()
-        reach_m = actor.size_lwh_m[0] + NEAR_VEHICLE_M
+        reach_m = actor.size_lwh_m[0] + _NEAR_VEHICLE_M
         vx, vy, _ = actor.v_W_mps.tolist()
-        wide_m = reach_m + MOVES_M + SWEEP_S * (abs(vx) + abs(vy))
-        if any([abs(x - wx) + abs(y - wy) < wide_m for wx, wy in places]):
-            found.append(_vehicle(actor, reach_m))
+        wide_m = reach_m + _MOVES_M + SWEEP_S * (abs(vx) + abs(vy))
+        if not any([abs(x - wx) + abs(y - wy) < wide_m for wx, wy in places]):
+            continue
+        speed_mps = math.hypot(vx, vy)
+        # What it covers until it has driven on for a while.
+        box = x, y, cos, sin, long_m, half_wide_m = box_from_actor(actor)
+        half_m = 0.5 * SWEEP_S * speed_mps
+        sweep = x + half_m * cos, y + half_m * sin, cos, sin, long_m + half_m, half_wide_m
+        is_moving = speed_mps > _MOVING_MPS
+        found.append(Vehicle(reach_m=reach_m + 2.0 * half_m, box=box, sweep=sweep, moves=is_moving))
     return found
-
-
-def _vehicle(actor: ActorState, reach_m: float) -> Vehicle:
-    box = box_from_actor(actor)
-    vx, vy, _ = actor.v_W_mps.tolist()
-    speed_mps = math.hypot(vx, vy)
-    x, y, cos, sin, long_m, wide_m = box
-    half_m = 0.5 * SWEEP_S * speed_mps
-    sweep = x + half_m * cos, y + half_m * sin, cos, sin, long_m + half_m, wide_m
-    return Vehicle(reach_m=reach_m + 2.0 * half_m, box=box, sweep=sweep, moves=speed_mps > MOVING_MPS)
 
 
 def near(vehicles: Sequence[Vehicle], x: float, y: float) -> list[Vehicle]:

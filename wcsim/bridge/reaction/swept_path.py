@@ -1,7 +1,8 @@
 """Where a vehicle's body will sweep along the lanes that lie ahead of it.
 
-SUMO leads the front bumper along the lane and turns the body so that its tail lies on the same line; a long vehicle
-cuts corners. The way is laid out once per lane, as poses of the body half a metre apart.
+SUMO leads the front bumper along the lane and turns the body so that its tail lies on the same
+line; a long vehicle cuts corners. The way is laid out once per lane, as poses of the body half a
+metre apart.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from wcsim.types import F64, ActorState
 
 STEP_M = 0.5
 AHEAD_M = 70.0  # farther than anything brakes for a chair
-TAIL_M = 3.0  # kept behind the vehicle's tail
-FRESH_M, SHORT_M = 25.0, 5.0  # a way is laid out anew after so much of it, the second where it ends soon
+TAIL_M = 3.0  # of the way, behind the vehicle's tail
+# A way is laid out anew after so much of it, the second where it ends soon.
+_FRESH_M, _SHORT_M = 25.0, 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +55,7 @@ class Brakes:
 
 
 class Roads(Protocol):
-    """What the reaction asks SUMO about a vehicle; actors are named as in `ActorState.id`."""
+    """What the reaction reads of SUMO about a vehicle; actors are named as in `ActorState.id`."""
 
     @property
     def sublanes(self) -> bool:
@@ -63,7 +65,7 @@ class Roads(Protocol):
         """Where a vehicle is now; None when it is on no lane (teleported, parked, gone)."""
 
     def lanes_ahead(self, actor_id: str, ahead_m: float) -> tuple[str, ...]:
-        """The lane of a vehicle and those that its route leads to, those inside junctions among them."""
+        """The lane of a vehicle and those on its route, also inside junctions."""
 
     def lane(self, lane_id: str) -> LaneShape:
         """A lane's shape."""
@@ -87,8 +89,10 @@ class Tube:
 
     points_W_m: F64  # (K, 2) the line of the front bumper
     arc_m: F64  # (K,)
-    start_m: Mapping[str, tuple[float, float]]  # by lane: where it begins on the line, and its own metres per SUMO's
-    poses: F64  # (n, 4) x, y of the body's middle, cos, sin of its heading; front at first_m + i * STEP_M
+    # By lane: where it begins on the line, and its own metres per SUMO's.
+    start_m: Mapping[str, tuple[float, float]]
+    # (n, 4) x, y of the body's middle, cos, sin of its heading; front at first_m + i * STEP_M.
+    poses: F64
     first_m: float
 
     @property
@@ -106,17 +110,34 @@ class Tube:
         return _at(self.points_W_m, self.arc_m, at_m)
 
     def moved(self, arc_m: F64, points_W_m: F64, length_m: float) -> Tube:
-        """The same way along another line, whose points (n, 2) are counted as the old line's are, `arc_m` (n,)."""
+        """The same way along another line of points (n, 2), at the old line's arcs (n,)."""
         poses = _poses(points_W_m, arc_m, self.first_m, length_m)
         return replace(self, points_W_m=points_W_m, arc_m=arc_m, poses=poses)
 
     def lane_at(self, front_m: float) -> str:
         """The lane that a place of the line lies in."""
-        begun = [(start, name) for name, (start, _) in self.start_m.items() if start <= front_m + 1e-6]
-        return max(begun)[1] if begun else min((start, name) for name, (start, _) in self.start_m.items())[1]
+        starts = [(start, name) for name, (start, _) in self.start_m.items()]
+        passed = [each for each in starts if each[0] <= front_m + 1e-6]
+        return (max(passed) if passed else min(starts))[1]
 
 
-def _lay_out(lanes: Sequence[LaneShape], along_m: float, length_m: float, tail_W_m: F64, old: Tube | None) -> Tube:
+def way_ahead(actor: ActorState, place: OnLane, roads: Roads, old: Tube | None) -> Tube:
+    """The vehicle's way: the old one while it holds and leads far enough, else a new one."""
+    if old is not None and place.lane_id in old.start_m:
+        front_m = old.front_m(place)
+        short = old.first_m + len(old.poses) * STEP_M - front_m < 0.5 * AHEAD_M
+        moved_m = abs(front_m - old.first_m - TAIL_M)
+        if moved_m < (_SHORT_M if short else _FRESH_M) or roads.lane(place.lane_id).internal:
+            return old
+    lanes = [roads.lane(name) for name in roads.lanes_ahead(actor.id, AHEAD_M)]
+    heading = np.array([math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)])
+    tail_W_m = actor.p_W_m[:2] - 0.5 * actor.size_lwh_m[0] * heading
+    return _lay_out(lanes, place.along_m, actor.size_lwh_m[0], tail_W_m, old)
+
+
+def _lay_out(
+    lanes: Sequence[LaneShape], along_m: float, length_m: float, tail_W_m: F64, old: Tube | None
+) -> Tube:
     """The way over `lanes`, whose first one the vehicle is in.
 
     Args:
@@ -144,25 +165,11 @@ def _lay_out(lanes: Sequence[LaneShape], along_m: float, length_m: float, tail_W
         points = np.concatenate([points, lane.points_W_m])
     arcs_m = np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T).cumsum()])
     # Lanes end where the next begin: a doubled point would be a piece without direction.
-    keep = np.concatenate([[True], np.diff(arcs_m) > 1e-9])
-    points, arcs_m = points[keep], arcs_m[keep]
-    first_m = starts[lanes[0].id][0] + _scale(lanes[0]) * along_m - TAIL_M
-    poses = _poses(points, arcs_m, max(0.0, first_m), length_m)
-    return Tube(points_W_m=points, arc_m=arcs_m, start_m=starts, poses=poses, first_m=max(0.0, first_m))
-
-
-def way_ahead(actor: ActorState, place: OnLane, roads: Roads, old: Tube | None) -> Tube:
-    """The vehicle's way: the one laid out before while it still holds and leads far enough, else a new one."""
-    if old is not None and place.lane_id in old.start_m:
-        front_m = old.front_m(place)
-        short = old.first_m + len(old.poses) * STEP_M - front_m < 0.5 * AHEAD_M
-        moved_m = abs(front_m - old.first_m - TAIL_M)
-        if moved_m < (SHORT_M if short else FRESH_M) or roads.lane(place.lane_id).internal:
-            return old
-    lanes = [roads.lane(name) for name in roads.lanes_ahead(actor.id, AHEAD_M)]
-    heading = np.array([math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)])
-    tail_W_m = actor.p_W_m[:2] - 0.5 * actor.size_lwh_m[0] * heading
-    return _lay_out(lanes, place.along_m, actor.size_lwh_m[0], tail_W_m, old)
+    moves_on = np.concatenate([[True], np.diff(arcs_m) > 1e-9])
+    points, arcs_m = points[moves_on], arcs_m[moves_on]
+    first_m = max(0.0, starts[lanes[0].id][0] + _scale(lanes[0]) * along_m - TAIL_M)
+    poses = _poses(points, arcs_m, first_m, length_m)
+    return Tube(points_W_m=points, arc_m=arcs_m, start_m=starts, poses=poses, first_m=first_m)
 
 
 def _poses(points: F64, arc_m: F64, first_m: float, length_m: float) -> F64:
@@ -177,7 +184,7 @@ def _poses(points: F64, arc_m: F64, first_m: float, length_m: float) -> F64:
 
 def _at(points: F64, arc_m: F64, at_m: F64) -> F64:
     """Points of a line at these distances, going straight on beyond its ends; (n, 2)."""
-    p = np.stack([np.interp(at_m, arc_m, points[:, 0]), np.interp(at_m, arc_m, points[:, 1])], axis=1)
+    p = np.stack([np.interp(at_m, arc_m, points[:, k]) for k in (0, 1)], axis=1)
     if len(points) > 1:
         before, after = at_m < arc_m[0], at_m > arc_m[-1]
         first, last = points[1] - points[0], points[-1] - points[-2]

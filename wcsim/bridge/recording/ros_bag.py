@@ -1,6 +1,7 @@
 """MCAP files with messages of ROS 2, the one place that needs rosbags, which is an extra.
 
-Frames are those of REP 103 and REP 105: metres, seconds, radians; x forward, y left, z up; `map`, `odom`, `base_link`.
+Frames are those of REP 103 and REP 105: metres, seconds, radians; x forward, y left, z up; `map`,
+`odom`, `base_link`.
 """
 
 import shutil
@@ -23,7 +24,7 @@ class RosBag(ClosingContextBase):
     """A new MCAP file; it appears when it is closed."""
 
     def __init__(self, path: Path) -> None:
-        """Begin a file. Raises ConfigError when the extra is not installed."""
+        """Start a file. Raises ConfigError when the extra is not installed."""
         check_installed("--mcap needs rosbags", "bag", "rosbags")
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
@@ -50,7 +51,9 @@ class RosBag(ClosingContextBase):
         finally:
             shutil.rmtree(self._work, ignore_errors=True)
 
-    def joy(self, topic: str, time_s: float, axes: Sequence[float], buttons: Sequence[bool] = ()) -> None:
+    def joy(
+        self, topic: str, time_s: float, axes: Sequence[float], buttons: Sequence[bool] = ()
+    ) -> None:
         """sensor_msgs/Joy."""
         self._write(
             topic,
@@ -62,7 +65,13 @@ class RosBag(ClosingContextBase):
         )
 
     def odometry(
-        self, topic: str, time_s: float, frames: tuple[str, str], pose: tuple[F64, F64], v: F64, w: F64
+        self,
+        topic: str,
+        time_s: float,
+        frames: tuple[str, str],
+        pose: tuple[F64, F64],
+        v: F64,
+        w: F64,
     ) -> None:
         """nav_msgs/Odometry: a frame in its parent, and how it moves, seen from itself.
 
@@ -81,7 +90,9 @@ class RosBag(ClosingContextBase):
             orientation=self._numbers("Quaternion", pose[1]),
         )
         twist = self._made(
-            "geometry_msgs/msg/Twist", linear=self._numbers("Vector3", v), angular=self._numbers("Vector3", w)
+            "geometry_msgs/msg/Twist",
+            linear=self._numbers("Vector3", v),
+            angular=self._numbers("Vector3", w),
         )
         self._write(
             topic,
@@ -90,13 +101,18 @@ class RosBag(ClosingContextBase):
             header=self._header(time_s, frames[0]),
             child_frame_id=frames[1],
             pose=self._made("geometry_msgs/msg/PoseWithCovariance", pose=at, covariance=exact),
-            twist=self._made("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=exact),
+            twist=self._made(
+                "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=exact
+            ),
         )
 
-    def transform(self, time_s: float, frames: tuple[str, str], pose: tuple[F64, F64], fixed: bool = False) -> None:
-        """tf2_msgs/TFMessage: the place and quaternion of a frame in its parent, on /tf_static where it is `fixed`.
+    def transform(
+        self, time_s: float, frames: tuple[str, str], pose: tuple[F64, F64], fixed: bool = False
+    ) -> None:
+        """tf2_msgs/TFMessage: place and quaternion of a frame in its parent.
 
-        A message of /tf_static repeats those before it: who comes late to a played bag gets the last one alone.
+        It is on /tf_static where it is `fixed`. A message of /tf_static repeats those before it: a
+        late subscriber of a played bag gets the last one alone.
         """
         moved = self._made(
             "geometry_msgs/msg/Transform",
@@ -111,11 +127,14 @@ class RosBag(ClosingContextBase):
         )
         if fixed:
             self._fixed[frames[1]] = stamped
-        told = list(self._fixed.values()) if fixed else [stamped]
-        self._write(_STATIC if fixed else "/tf", "tf2_msgs/msg/TFMessage", time_s, transforms=told)
+        sent = list(self._fixed.values()) if fixed else [stamped]
+        self._write(_STATIC if fixed else "/tf", "tf2_msgs/msg/TFMessage", time_s, transforms=sent)
 
     def imu(self, topic: str, time_s: float, frame: str, q: F64, w: F64, a: F64) -> None:
-        """sensor_msgs/Imu: orientation (4,), angular velocity (3,), specific force (3,), gravity included."""
+        """sensor_msgs/Imu: orientation (4,), angular velocity (3,), specific force (3,).
+
+        The specific force has gravity in it.
+        """
         unknown = np.zeros(9)
         self._write(
             topic,
@@ -130,7 +149,9 @@ class RosBag(ClosingContextBase):
             linear_acceleration_covariance=unknown,
         )
 
-    def image(self, topic: str, time_s: float, frame: str, picture: U8 | F32, encoding: str) -> None:
+    def image(
+        self, topic: str, time_s: float, frame: str, picture: U8 | F32, encoding: str
+    ) -> None:
         """sensor_msgs/Image (H, W) or (H, W, 3), as rgb8, mono8 or 32FC1."""
         rows = np.ascontiguousarray(picture)
         self._write(
@@ -146,13 +167,14 @@ class RosBag(ClosingContextBase):
             data=rows.view(np.uint8).reshape(-1),
         )
 
-    def camera_info(self, topic: str, time_s: float, frame: str, size_px: tuple[int, int], focal_px: float) -> None:
+    def camera_info(
+        self, topic: str, time_s: float, frame: str, size_px: tuple[int, int], focal_px: float
+    ) -> None:
         """sensor_msgs/CameraInfo of an ideal camera of that width and height."""
         width, height = size_px
         cx, cy = 0.5 * width - 0.5, 0.5 * height - 0.5
-        roi = self._made(
-            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-        )
+        whole = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+        roi = self._made("sensor_msgs/msg/RegionOfInterest", **whole)
         self._write(
             topic,
             "sensor_msgs/msg/CameraInfo",
@@ -172,7 +194,7 @@ class RosBag(ClosingContextBase):
 
     def _write(self, topic: str, kind: str, stamp_s: float, **content: Any) -> None:
         if topic not in self._topics:
-            offered = [_kept_for_late_ones()] if topic == _STATIC else []
+            offered = [_latched_qos()] if topic == _STATIC else []
             self._topics[topic] = self._writer.add_connection(
                 topic, kind, typestore=self._store, offered_qos_profiles=offered
             )
@@ -190,20 +212,30 @@ class RosBag(ClosingContextBase):
 
     def _numbers(self, kind: str, values: F64) -> Any:
         """A message of geometry_msgs that has x, y, z, and for a quaternion w."""
-        return self._made(f"geometry_msgs/msg/{kind}", **dict(zip("xyzw", values.tolist(), strict=False)))
+        content = dict(zip("xyzw", values.tolist(), strict=False))
+        return self._made(f"geometry_msgs/msg/{kind}", **content)
 
 
 def _stamp_ns(time_s: float) -> int:
     """Nanoseconds. Raises JournalError for a time before 0, which no MCAP file can hold."""
     stamp_ns = round(time_s * 1e9)
     if stamp_ns < 0:
-        raise JournalError(f"a recording begins at {time_s:.9g} s; expected 0 or later: record it again")
+        raise JournalError(
+            f"a recording begins at {time_s:.9g} s; expected 0 or later: record it again"
+        )
     return stamp_ns
 
 
-def _kept_for_late_ones() -> Any:
-    """The quality of service of /tf_static: its listeners ask for this, and hear nothing where it is not offered."""
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+def _latched_qos() -> Any:
+    """The quality of service of /tf_static: with another one its subscribers get nothing."""
+    from rosbags.interfaces import (
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
 
     for_ever = QosTime(sec=9223372036, nsec=854775807)
     return Qos(

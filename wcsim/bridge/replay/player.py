@@ -1,12 +1,15 @@
-"""Does to a world what its log says was done, record by record; and what such a world with seats must offer."""
+"""Does to a world what its log has recorded; and what such a world with seats must offer."""
 
 from collections.abc import Callable, Sequence
 from typing import Generic, Protocol, TypeVar
 
 from wcsim.errors import WcsimError
-from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun, Input, Respawned, WorldTick
+from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun, Input, WorldTick
 from wcsim.physics.buffers import ImageSink
 from wcsim.types import ClientSnapshot, Command, SeatSpec, Snapshot, StartSpec
+
+Specs = tuple[SeatSpec | None, ...]
+"""Of each seat; None for one that is free."""
 
 
 class SeatWorld(Protocol):
@@ -23,8 +26,10 @@ class SeatWorld(Protocol):
     def dismiss(self, seat: int) -> None:
         """Take a seat's chair out of the street."""
 
-    def respawn(self, seat: int, out: ImageSink | None = None, start: StartSpec | None = None) -> ClientSnapshot:
-        """Begin a seat's next episode, at a start of its own where one is given."""
+    def respawn(
+        self, seat: int, out: ImageSink | None = None, start: StartSpec | None = None
+    ) -> ClientSnapshot:
+        """Start a seat's next episode, at a start of its own where one is given."""
 
     def rebuild(self, seed: int, out: ImageSink | None = None) -> Snapshot:
         """A new epoch."""
@@ -34,23 +39,19 @@ class SeatWorld(Protocol):
 
 
 W_co = TypeVar("W_co", bound=SeatWorld, covariant=True)
-Specs = tuple[SeatSpec | None, ...]
-"""Of each seat; None for one that is free."""
 MakesEpoch = Callable[[Specs, int, int], W_co]
-"""Makes the world of an epoch: given who sits there, its seed and its number."""
-
-
+"""Makes the world of an epoch of its seats, its seed and its number."""
 W = TypeVar("W", bound=SeatWorld)
 
 
 class Seats:
-    """Who sits where, by what a log says."""
+    """The taken seats, by the records of a log."""
 
     def __init__(self) -> None:
         self.taken: dict[int, Admitted] = {}
 
     def note(self, record: Input) -> None:
-        """Hear the next record."""
+        """Take the next record."""
         match record:
             case Admitted():
                 self.taken[record.seat] = record
@@ -61,11 +62,12 @@ class Seats:
 
     def specs(self, capacity: int) -> Specs:
         """The seats of a world."""
-        return tuple(taken.spec if (taken := self.taken.get(seat)) else None for seat in range(capacity))
+        taken = map(self.taken.get, range(capacity))
+        return tuple(None if record is None else record.spec for record in taken)
 
 
 class LogPlayer(Generic[W]):
-    """Does to a world what a log says was done, and keeps who sits where while there is no world."""
+    """Does to a world what a log has recorded; knows the seats also while there is no world."""
 
     def __init__(self, make: MakesEpoch[W], capacity: int) -> None:
         self.seats = Seats()
@@ -87,27 +89,22 @@ class LogPlayer(Generic[W]):
             return self.world
         if self.world is None:
             raise WcsimError(f"{record} comes before the first epoch; the log is damaged")
-        if not isinstance(record, Ended):
-            _require_now(self.world, record)
-            _do(self.world, record)
-        return self.world
-
-
-def _do(world: SeatWorld, record: Admitted | Dismissed | Respawned | WorldTick) -> None:
-    if isinstance(record, WorldTick):
-        world.tick(record.commands)
-    elif isinstance(record, Admitted):
-        world.admit(record.seat, record.spec)
-    elif isinstance(record, Dismissed):
-        world.dismiss(record.seat)
-    else:
-        world.respawn(record.seat, start=record.start)
-
-
-def _require_now(world: SeatWorld, record: Admitted | Dismissed | Respawned | WorldTick) -> None:
-    here, ticks = world.snapshot, isinstance(record, WorldTick)
-    if (record.epoch, record.tick - ticks) != (here.epoch, here.tick):
-        raise WcsimError(
-            f"{type(record).__name__} of epoch {record.epoch}, tick {record.tick} follows epoch {here.epoch}, tick "
-            f"{here.tick}; expected {'the next tick' if ticks else 'this one'}: the log is damaged"
-        )
+        world = self.world
+        if isinstance(record, Ended):
+            return world
+        here, ticks = world.snapshot, isinstance(record, WorldTick)
+        if (record.epoch, record.tick - ticks) != (here.epoch, here.tick):
+            raise WcsimError(
+                f"{type(record).__name__} of epoch {record.epoch}, tick {record.tick} follows "
+                f"epoch {here.epoch}, tick {here.tick}; "
+                f"expected {'the next tick' if ticks else 'this one'}: the log is damaged"
+            )
+        if isinstance(record, WorldTick):
+            world.tick(record.commands)
+        elif isinstance(record, Admitted):
+            world.admit(record.seat, record.spec)
+        elif isinstance(record, Dismissed):
+            world.dismiss(record.seat)
+        else:
+            world.respawn(record.seat, start=record.start)
+        return world

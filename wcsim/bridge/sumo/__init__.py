@@ -1,1 +1,1 @@
-"""SUMO in this process: the only room that speaks to libsumo. Values come out of it as our types."""
+"""SUMO in this process: the only room that speaks to libsumo; values leave it as our types."""

@@ -1,8 +1,6 @@
 """`python -m wcsim.bridge.sumo.first_steps SUMOCFG STEP_S STEPS WORD`: a scenario's first steps.
 
-In a process that may die.
-
-It says WORD when it has run them once; then it begins anew.
+It runs in a process that may die. It prints WORD when it has run them once; then it starts anew.
 """
 
 import sys
@@ -23,9 +21,11 @@ def main() -> int:
             _steps(session, int(sys.argv[3]))
             sys.stdout.write(f"{sys.argv[4]}\n")
             sys.stdout.flush()
-            session.rebuild(seed=2)  # a world does so too, and what SUMO keeps of the first time may kill it
+            # A world does so too, and what SUMO holds of the first time may kill it.
+            session.rebuild(seed=2)
             _steps(session, int(sys.argv[3]) // 10)
-    except WcsimError as error:  # SUMO's own words, for whoever asked knows of which scenario
+    # SUMO's own words alone: the parent knows of which scenario.
+    except WcsimError as error:
         sys.stderr.write(f"Error: {error.__context__ or error}\n")
         return 1
     return 0

@@ -1,4 +1,4 @@
-"""Where a world runs its scenario: filtered copies in a folder, tried out in a child before SUMO opens them here.
+"""Where a world runs its scenario: filtered copies, tried out in a child before SUMO opens them.
 
 A world and those who order one both know `RunPlace`, so nothing here loads a simulator.
 """
@@ -28,10 +28,12 @@ log = logging.getLogger("wcsim.bridge.sumo.open_scenario")
 
 _SUMO_FOLDER = "sumo"
 _TRIAL_STEPS = 50
-_JUPEDSIM_TRIAL_S = 300.0  # it dies when somebody departs to a place off its one connected area, however late
-_BEGUN_ANEW = "begun anew"  # what the child says when its first time is over
+# It dies when somebody departs to a place off its one connected area, however late.
+_JUPEDSIM_TRIAL_S = 300.0
+_STARTED_ANEW = "begun anew"  # the child's message when its first run is over
 _LIMITS = Limits(wall_s=50.0, cpu_s=50, memory_bytes=16 << 30, file_bytes=1 << 30)
-_JUPEDSIM_LIMITS = replace(_LIMITS, wall_s=600.0, cpu_s=300)  # half a minute goes into the area of a whole town
+# Half a minute goes into the area of a whole town.
+_JUPEDSIM_LIMITS = replace(_LIMITS, wall_s=600.0, cpu_s=300)
 _SEARCH_LIMITS = Limits(wall_s=10.0, cpu_s=10, memory_bytes=16 << 30, file_bytes=1 << 30)
 _LISTS = ("additional-files", "route-files")  # in the order in which SUMO reads them
 
@@ -42,33 +44,46 @@ def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitSta
     Raises:
         TownError: a file is missing or broken, or SUMO refuses the scenario or dies of it.
     """
-    folder = held.enter_context(create_temporary_folder()) if place.folder is None else _fresh(place.folder)
+    if place.folder is None:
+        folder = held.enter_context(create_temporary_folder())
+    else:
+        # What an earlier sitting of the run left there stays.
+        folder, number = place.folder / _SUMO_FOLDER, 1
+        while folder.is_dir() and any(folder.iterdir()):
+            number += 1
+            folder = place.folder / f"{_SUMO_FOLDER}-{number}"
     scenario = stage_scenario(town, settings, folder, place.outputs)
     for note in scenario.notes:
         log.info("%s: %s", town.name, note)
     for row in scenario.overrides:
-        log.info("%s: %s is %s, not %s: %s", town.name, row.option, row.wcsim, row.author or "the default", row.why)
+        author = row.author or "the default"
+        log.info("%s: %s is %s, not %s: %s", town.name, row.option, row.wcsim, author, row.why)
     _try_scenario(town, settings, scenario.digest)
     return scenario
 
 
 def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
-    """Run the scenario's first steps in a child, once for each state of its files. Raises TownError."""
+    """Run the scenario's first steps in a child, once for each state of its files.
+
+    Raises:
+        TownError: SUMO refuses the scenario, dies of it or takes too long.
+    """
     # With SUMO's version: another one may die of what this one runs.
-    key = hashlib.sha256(
-        f"{digest} {version('libsumo')} {_TRIAL_STEPS} {_JUPEDSIM_TRIAL_S} {_BEGUN_ANEW}".encode()
-    ).hexdigest()[:32]
+    state = f"{digest} {version('libsumo')} {_TRIAL_STEPS} {_JUPEDSIM_TRIAL_S} {_STARTED_ANEW}"
+    key = hashlib.sha256(state.encode()).hexdigest()[:32]
     verdict = cache_folder() / f"scenario-{key}.ok"
     if verdict.is_file():
         return
     with create_temporary_folder() as work:
-        # One seed for all, as the verdict is on the files and kept for every seed.
+        # One seed for all, as the verdict is on the files and holds for every seed.
         staged = stage_scenario(town, replace(settings, seed=1), work)
         tick_s = settings.world.tick_s
         by_jupedsim = read_configuration(staged.sumocfg).value(PEOPLE) == JUPEDSIM
-        steps = max(_TRIAL_STEPS, round(_JUPEDSIM_TRIAL_S / tick_s)) if by_jupedsim else _TRIAL_STEPS
-        command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(staged.sumocfg), repr(tick_s)]
-        command += [str(steps), _BEGUN_ANEW]
+        steps = _TRIAL_STEPS
+        if by_jupedsim:
+            steps = max(steps, round(_JUPEDSIM_TRIAL_S / tick_s))
+        command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(staged.sumocfg)]
+        command += [repr(tick_s), str(steps), _STARTED_ANEW]
         # The child has to find the packages that this process found, however it was started.
         env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
         limits = _JUPEDSIM_LIMITS if by_jupedsim else _LIMITS
@@ -76,31 +91,34 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
             run = run_child("sumo", command, staged.sumocfg.parent, env, limits)
         except SumoError as error:
             raise TownError(
-                f"{town.sumocfg}: SUMO could not run its first {steps} steps ({error}); reduce the load: "
-                "a smaller scale, fewer vehicles and persons, wider stripes of pedestrians"
+                f"{town.sumocfg}: SUMO could not run its first {steps} steps ({error}); "
+                "reduce the load: a smaller scale, fewer vehicles and persons, "
+                "wider stripes of pedestrians"
             ) from None
         if run.died and by_jupedsim:
             raise TownError(
-                f"{town.sumocfg}: SUMO crashes here when people walk by JuPedSim ({run.reason()}); known causes: a "
-                "walk that leaves the one connected area of pavements, a walking area without width; expected "
-                "pedestrian.model striping, which is world.street=usual where the scenario says nothing"
+                f"{town.sumocfg}: SUMO crashes here when people walk by JuPedSim ({run.reason()}); "
+                "known causes: a walk that leaves the one connected area of pavements, "
+                "a walking area without width; expected pedestrian.model striping, "
+                "which is world.street=usual where the scenario says nothing"
             )
         culprit = _culprit(town, staged, settings) if run.returncode else town.sumocfg
-    if run.died and _BEGUN_ANEW in run.output:
+    if run.died and _STARTED_ANEW in run.output:
         raise TownError(
-            f"{town.sumocfg}: SUMO crashes when this scenario starts again in one process ({run.reason()}); a known "
-            "cause is devices that send (btsender): remove them here and from the routes"
+            f"{town.sumocfg}: SUMO crashes when this scenario starts again in one process "
+            f"({run.reason()}); a known cause is devices that send (btsender): "
+            "remove them here and from the routes"
         )
     if run.returncode:
         raise TownError(
-            f"{culprit}: SUMO cannot run this scenario ({run.reason()}); correct the file; SUMO alone: "
-            f"sumo -c {town.sumocfg}"
+            f"{culprit}: SUMO cannot run this scenario ({run.reason()}); correct the file; "
+            f"SUMO alone: sumo -c {town.sumocfg}"
         )
     write_verdict(verdict)
 
 
 def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:
-    """The file with which the scenario begins to fail, in the order in which SUMO reads them; or the .sumocfg."""
+    """The first file, in SUMO's order, with which the scenario fails; or the .sumocfg."""
     files = (*town.additional, *town.routes)
     end_s = staged.begin_s + _TRIAL_STEPS * settings.world.tick_s
 
@@ -108,7 +126,8 @@ def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:
         words = ["-c", str(_with_fewer(staged.sumocfg, count)), "--end", repr(end_s)]
         try:
             return run_tool("sumo", words, staged.sumocfg.parent, _SEARCH_LIMITS).returncode != 0
-        except SumoError:  # it takes long
+        # It takes long.
+        except SumoError:
             return True
 
     if not fails(len(files)):
@@ -122,7 +141,7 @@ def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:
 
 
 def _with_fewer(staged: Path, count: int) -> Path:
-    """A copy beside a staged configuration that names only the first of its additional and route files."""
+    """A copy beside a staged configuration that names only its first `count` files."""
     tree = ElementTree.parse(staged)  # noqa: S314 - written by this process
     for name in _LISTS:
         for element in tree.iter(name):
@@ -135,12 +154,3 @@ def _with_fewer(staged: Path, count: int) -> Path:
     path = staged.with_name(f"fewer-{staged.name}")
     tree.write(path, encoding="utf-8")
     return path
-
-
-def _fresh(run: Path) -> Path:
-    """A folder for SUMO's files in a run; what an earlier sitting of the run left there stays."""
-    folder, number = run / _SUMO_FOLDER, 1
-    while folder.is_dir() and any(folder.iterdir()):
-        number += 1
-        folder = run / f"{_SUMO_FOLDER}-{number}"
-    return folder

@@ -1,10 +1,12 @@
 """SUMO inside this process: the only file that speaks to libsumo.
 
-libsumo holds one simulation a process; a second `start` silently resets the first one, so a session refuses to start
-while another one is loaded. Whole-world reset is one drain step, then `libsumo.load` (bit-identical; `loadState` is
-not). Nothing but `ActorState` and `SignalState` leaves this file.
+libsumo holds one simulation a process; a second `start` silently resets the first one, so a session
+refuses to start while another one is loaded. Whole-world reset is one drain step, then
+`libsumo.load` (bit-identical; `loadState` is not). Nothing but `ActorState` and `SignalState`
+leaves this file.
 
-`open_session` starts it with the scenario of a town, staged and tried out; `warm_up` lets the traffic run alone.
+`open_session` starts it with the scenario of a town, staged and tried out; `warm_up` lets the
+traffic run alone.
 """
 
 import locale
@@ -47,29 +49,6 @@ log = logging.getLogger("wcsim.bridge.sumo.session")
 _WARMUP_S = 240.0  # where neither the settings nor the town say it
 
 
-def world_in_this_process() -> bool:
-    """Whether a SUMO simulation is loaded in this process."""
-    return bool(libsumo.isLoaded())
-
-
-def refuse_second_world() -> None:
-    """Raise WorldInUseError while a simulation is loaded in this process."""
-    if world_in_this_process():
-        raise WorldInUseError(
-            "this process already has a SUMO world, and libsumo allows one per process; "
-            "close it first, or open this world in a process of its own (wcsim.server.links.socket)"
-        )
-
-
-def _stood(vehicle: str) -> str:
-    """Where somebody stood who is being teleported: SUMO has put them onto the next edge of their route already."""
-    try:
-        edges, now = libsumo.vehicle.getRoute(vehicle), libsumo.vehicle.getRouteIndex(vehicle)
-    except libsumo.TraCIException:  # taken out of the street for good
-        return ""
-    return f" on edge {edges[max(0, now - 1)]}" if edges else ""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SumoOptions:
     """What a session runs, and what a world overrides of a scenario's own options."""
@@ -83,7 +62,7 @@ class SumoOptions:
     hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`
 
     def arguments(self) -> list[str]:
-        """The command line for libsumo; the scenario's own configuration comes first and is overridden by the rest."""
+        """The command line for libsumo; all that follows the configuration overrides it."""
         words = ["sumo", "--configuration-file", str(self.sumocfg)]
         for name, value in forced(self.settings, self.author_scale):
             words += [f"--{name}", value]
@@ -94,15 +73,21 @@ class SumoSession(ClosingContextBase):
     """The one SUMO simulation of this process."""
 
     def __init__(self, options: SumoOptions) -> None:
-        """Start SUMO. Raises WorldInUseError while another session lives in this process, SumoError when it fails."""
+        """Start SUMO.
+
+        Raises:
+            WorldInUseError: Another session lives in this process.
+            SumoError: SUMO fails.
+        """
         refuse_second_world()
         self._options = options
-        self._begin_anew()
+        self._reset_counts()
         self._open = True
         self.pilot = VehicleControl(libsumo, options.origin_m)
         self.buttons = SignalControl(libsumo)
-        self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.settings.world.tick_s)
-        # SUMO reads the names of files in the letters of the locale; that of LC_ALL=C has no others than ASCII's.
+        origin_m = *options.origin_m, options.z_origin_m
+        self._reader = ActorReader(libsumo, origin_m, options.settings.world.tick_s)
+        # SUMO reads the names of files in the locale's letters; that of LC_ALL=C has ASCII's alone.
         if locale.nl_langinfo(locale.CODESET) != "UTF-8":
             locale.setlocale(locale.LC_CTYPE, UTF_8)
         self._guarded(lambda: libsumo.start(options.arguments()))
@@ -115,18 +100,21 @@ class SumoSession(ClosingContextBase):
             self.close()
             raise
 
-    def _begin_anew(self) -> None:
+    def _reset_counts(self) -> None:
         self.teleports = 0  # vehicles that SUMO took out of a jam during the last step
-        self.come: frozenset[str] = frozenset()  # in the last step, as in `ActorState.id`: departed, or off a teleport
-        self.mishaps = (0, 0)  # since the scenario began, warm-up included: teleports, and collisions that began
+        # In the last step, as in `ActorState.id`: departed, or off a teleport.
+        self.spawned: frozenset[str] = frozenset()
+        # Since the scenario's start, warm-up included: teleports, and new collisions.
+        self.mishaps = 0, 0
         self._colliding: frozenset[frozenset[str]] = frozenset()
         self.warnings = WarningLog(self._options.warnings)
 
     def step(self, chairs: Callable[[], tuple[HookChair, ...]] = tuple) -> None:
         """Advance SUMO by one step, with the user's hook around it, and log jams that it dissolved.
 
-        `chairs` are those before the step; they are asked for only where there is a hook.
+        `chairs` are those before the step; they are made only where there is a hook.
         """
+        # 1. The step, with the hook around it.
         hook_chairs = () if self._hook is None else chairs()
         if self._hook is not None:
             self._hook.before_step(self.time_s(), hook_chairs)
@@ -134,20 +122,36 @@ class SumoSession(ClosingContextBase):
         if self._hook is not None:
             self._hook.after_step(self.time_s(), hook_chairs)
         self.warnings.read()
-        jammed = libsumo.simulation.getStartingTeleportIDList()
-        landed = libsumo.simulation.getEndingTeleportIDList()
-        vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()
-        # After a jump an actor may be nearer than its speed allows: the reader looks at all of them again.
+        # 2. Who is new. After a jump an actor may be nearer than its speed allows: the reader looks
+        #    at all of them again.
+        simulation = libsumo.simulation
+        jammed = simulation.getStartingTeleportIDList()
+        landed = simulation.getEndingTeleportIDList()
+        vehicles = simulation.getDepartedIDList()
+        people = simulation.getDepartedPersonIDList()
         unsure = bool(jammed or landed or self._jumpers or self._hook is not None)
         self._reader.stepped(vehicles, people, unsure=unsure)
+        new_vehicles = ["v:" + name for name in (*vehicles, *landed)]
+        self.spawned = frozenset([*new_vehicles, *("p:" + name for name in people)])
+        # 3. Mishaps. SUMO lists a collision in every step that it lasts: only new pairs count,
+        #    whichever of them SUMO blames.
         self.teleports = len(jammed)
-        # SUMO lists a collision in every step that it lasts: only new pairs count, whichever of them SUMO blames.
-        pairs = frozenset(frozenset((hit.collider, hit.victim)) for hit in libsumo.simulation.getCollisions())
-        self.mishaps = self.mishaps[0] + self.teleports, self.mishaps[1] + len(pairs - self._colliding)
+        hits = simulation.getCollisions()
+        pairs = frozenset(frozenset((hit.collider, hit.victim)) for hit in hits)
+        teleports, collisions = self.mishaps
+        new_pairs = len(pairs - self._colliding)
+        self.mishaps = teleports + self.teleports, collisions + new_pairs
         self._colliding = pairs
-        self.come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])
         for name in sorted(jammed):
-            log.warning("jam: SUMO teleported %s, which stood too long%s, at %.1f s", name, _stood(name), self.time_s())
+            try:
+                edges, now = libsumo.vehicle.getRoute(name), libsumo.vehicle.getRouteIndex(name)
+            # It was taken out of the street for good.
+            except libsumo.TraCIException:
+                edges, now = (), 0
+            # SUMO has put it onto the next edge of its route already.
+            place = f" on edge {edges[max(0, now - 1)]}" if edges else ""
+            message = "jam: SUMO teleported %s, which stood too long%s, at %.1f s"
+            log.warning(message, name, place, self.time_s())
 
     def rebuild(self, seed: int) -> None:
         """Start the scenario again from its beginning with another seed."""
@@ -157,7 +161,7 @@ class SumoSession(ClosingContextBase):
         self._reader.forget()
         self.pilot.forget()
         self.buttons.forget()
-        self._begin_anew()
+        self._reset_counts()
         # `load` takes options alone, where `start` wants the program's name before them.
         self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))
         # Another object: what a hook has learned is of the run that is over.
@@ -171,11 +175,11 @@ class SumoSession(ClosingContextBase):
         return float(libsumo.simulation.getTime())
 
     def actors(self, near_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
-        """Every vehicle and person within `radius_m` of any of the chairs (n, 2), sorted by id; once a step."""
+        """All within `radius_m` of any of the chairs (n, 2), sorted by id; for once a step."""
         return self._reader.near(near_W_m, radius_m)
 
     def actors_at(self, place_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
-        """The same around a place (1, 2) that somebody asks for once."""
+        """The same around a place (1, 2), for a single look."""
         return self._reader.at(place_W_m, radius_m)
 
     def everyone(self) -> tuple[ActorState, ...]:
@@ -183,7 +187,7 @@ class SumoSession(ClosingContextBase):
         return self.actors_at(np.zeros((1, 2)), math.inf)
 
     def turn_away(self, actor_id: str) -> bool:
-        """Take an actor out of the street that SUMO has just put on top of somebody; whether it could be."""
+        """Take an actor off the street that SUMO has put on top of somebody; whether it could."""
         # JuPedSim goes on with people who have been removed: SUMO 1.28 dies of it in the next step.
         if self._by_jupedsim and actor_id.startswith("p:"):
             return False
@@ -196,7 +200,7 @@ class SumoSession(ClosingContextBase):
         return len(libsumo.vehicle.getIDList()), len(libsumo.person.getIDList())
 
     def signals(self, near_W_m: F64, radius_m: float) -> tuple[SignalState, ...]:
-        """The colours of every traffic light with a stop line within `radius_m` of any of the points, sorted by id."""
+        """The colours of all traffic lights with a stop line so near to any point, by id."""
         return self._signals.near(near_W_m, radius_m)
 
     def close(self) -> None:
@@ -212,8 +216,23 @@ class SumoSession(ClosingContextBase):
             call()
         except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
             raise SumoError(
-                f"SUMO stopped on {self._options.sumocfg}: {str(error).strip()[:300]}; open it in sumo-gui for details"
+                f"SUMO stopped on {self._options.sumocfg}: {str(error).strip()[:300]}; "
+                "open it in sumo-gui for details"
             ) from None
+
+
+def world_in_this_process() -> bool:
+    """Whether a SUMO simulation is loaded in this process."""
+    return bool(libsumo.isLoaded())
+
+
+def refuse_second_world() -> None:
+    """Raise WorldInUseError while a simulation is loaded in this process."""
+    if world_in_this_process():
+        raise WorldInUseError(
+            "this process already has a SUMO world, and libsumo allows one per process; "
+            "close it first, or open this world in a process of its own (wcsim.server.links.socket)"
+        )
 
 
 def sumo_seed(seed: int) -> int:
@@ -224,9 +243,13 @@ def sumo_seed(seed: int) -> int:
 def open_session(
     town: Town, config: RunConfig, seed: int, place: RunPlace, net_z_m: float, held: ExitStack
 ) -> tuple[Scenario, SumoSession]:
-    """Start SUMO for a world with this seed; `held` ends it, `net_z_m` is the net's own height of W's z = 0.
+    """Start SUMO for a world with this seed.
 
-    Raises TownError for a scenario that cannot be run, WorldInUseError while another session lives in this process.
+    `held` ends it, `net_z_m` is the net's own height of W's z = 0.
+
+    Raises:
+        TownError: The scenario cannot be run.
+        WorldInUseError: Another session lives in this process.
     """
     settings = Settings(world=config.world, seed=sumo_seed(seed))
     scenario = open_scenario(town, settings, place, held)
@@ -243,9 +266,10 @@ def open_session(
 
 
 def warmup_s(town: Town, config: RunConfig) -> float:
-    """How long the traffic runs before a world begins: as the user set it, as the town says, or as usual."""
-    asked_s, own_s = config.world.warmup_s, town.file.warmup_s
-    return asked_s if asked_s is not None else _WARMUP_S if own_s is None else own_s
+    """How long the traffic runs before a world starts: as set, as in the town's file, or usual."""
+    if config.world.warmup_s is not None:
+        return config.world.warmup_s
+    return _WARMUP_S if town.file.warmup_s is None else town.file.warmup_s
 
 
 def warm_up(sumo: SumoSession, for_s: float, tick_s: float) -> None:

@@ -1,6 +1,7 @@
-"""Reads a vehicle's lanes from SUMO, and tells actors what to do; gives everything back when it is told so.
+"""Reads a vehicle's lanes from SUMO, and sends it the commands of the reaction.
 
-The session hands libsumo in: `bridge/sumo/session.py` stays the only file that loads it.
+A command may give everything back to SUMO. The session hands libsumo in: `bridge/sumo/session.py`
+stays the only file that loads it.
 """
 
 import logging
@@ -14,7 +15,8 @@ from wcsim.core import frames
 
 log = logging.getLogger("wcsim.bridge.sumo.vehicle_control")
 
-_NO_DECEL_BOUND = ~4  # speed mode: everything but SUMO's bound on deceleration, which is the service brake
+# Speed mode: everything but SUMO's bound on deceleration, which is the service brake.
+_NO_DECEL_BOUND = ~4
 _ONLY_ORDERED = 512  # lane-change mode: none of SUMO's own, ordered ones only into gaps
 _ONLY_ORDERED_PUSHY = 256  # the same, but into any gap that is not a collision
 _LANE_HOLD_S = 1.0
@@ -22,17 +24,21 @@ _FURTHEST_LINKS = 12
 
 
 class VehicleControl:
-    """What the reaction asks and commands; implements `lanes.Roads`. Actors are named as in `ActorState.id`."""
+    """What the reaction reads and commands; implements `swept_path.Roads`.
+
+    Actors are named as in `ActorState.id`.
+    """
 
     def __init__(self, libsumo: Any, origin_m: tuple[float, float]) -> None:
         self._api = libsumo
         self._origin_m = origin_m
         self._lanes: dict[str, LaneShape] = {}
-        self._modes: dict[str, tuple[int, int]] = {}  # speed and lane-change mode before the first order
+        # Speed and lane-change mode before the first command.
+        self._modes: dict[str, tuple[int, int]] = {}
         self._sublanes: bool | None = None
 
     def forget(self) -> None:
-        """SUMO was loaded anew: nobody is under orders."""
+        """SUMO was loaded anew: no actor is under a command."""
         self._modes.clear()
 
     @property
@@ -43,7 +49,7 @@ class VehicleControl:
         return self._sublanes
 
     def on_lane(self, actor_id: str) -> OnLane | None:
-        """Where a vehicle is now; None when it is on no lane (teleported, gone), or stopped by its own plan."""
+        """Where a vehicle is; None on no lane (teleported, left), or stopped by its own plan."""
         name, vehicle = actor_id.partition(":")[2], self._api.vehicle
         try:
             lane_id = vehicle.getLaneID(name)
@@ -55,17 +61,20 @@ class VehicleControl:
         return OnLane(lane_id=lane_id, along_m=along_m, left_m=left_m)
 
     def lanes_ahead(self, actor_id: str, ahead_m: float) -> tuple[str, ...]:
-        """The lane of a vehicle and those that its route leads to, those inside junctions among them."""
-        name = actor_id.partition(":")[2]
-        lanes = self._through_junction(self._api.vehicle.getLaneID(name), "")
-        known_m = -float(self._api.vehicle.getLanePosition(name)) + sum(self.lane(lane).length_m for lane in lanes)
-        for target, *_, via, _state, _way, _length in self._api.vehicle.getNextLinks(name)[:_FURTHEST_LINKS]:
+        """The lane of a vehicle and those on its route, also inside junctions."""
+        name, vehicle = actor_id.partition(":")[2], self._api.vehicle
+        lanes = self._through_junction(vehicle.getLaneID(name), "")
+        along_m = float(vehicle.getLanePosition(name))
+        known_m = -along_m + sum(self.lane(lane).length_m for lane in lanes)
+        links = vehicle.getNextLinks(name)[:_FURTHEST_LINKS]
+        for target, *_, via, _state, _way, _length in links:
             if known_m > ahead_m:
                 break
             # The way through a junction has brought it along already.
             if target in lanes:
                 continue
-            more = [lane for lane in (self._through_junction(via, target) if via else [target]) if lane not in lanes]
+            reached = self._through_junction(via, target) if via else [target]
+            more = [lane for lane in reached if lane not in lanes]
             lanes += more
             known_m += sum(self.lane(lane).length_m for lane in more)
         return tuple(lanes)
@@ -97,32 +106,42 @@ class VehicleControl:
         name, vehicle = actor_id.partition(":")[2], self._api.vehicle
         here = self.lane(vehicle.getLaneID(name))
         kind, need_m = vehicle.getVehicleClass(name), float(vehicle.getLanePosition(name)) + ahead_m
-        reach_m = {best[0]: best[1] for best in vehicle.getBestLanes(name)}  # from each lane's start, without a change
-        beside = ((index, f"{here.edge_id}_{index}") for index in (here.index + 1, here.index - 1))
-        return tuple(index for index, lane in beside if reach_m.get(lane, 0.0) >= need_m and self._permits(lane, kind))
+        # From each lane's start, without a change.
+        reach_m = {best[0]: best[1] for best in vehicle.getBestLanes(name)}
+        found = []
+        for index in (here.index + 1, here.index - 1):
+            lane = f"{here.edge_id}_{index}"
+            if reach_m.get(lane, 0.0) < need_m:
+                continue
+            allowed = self._api.lane.getAllowed(lane)
+            # SUMO lists no class as allowed where all of them are.
+            if kind in allowed if allowed else kind not in self._api.lane.getDisallowed(lane):
+                found.append(index)
+        return tuple(found)
 
     def brakes(self, actor_id: str) -> Brakes:
         """A vehicle's brakes."""
         name, vehicle = actor_id.partition(":")[2], self._api.vehicle
         service = float(vehicle.getDecel(name))
         # A vehicle type may name an emergency brake that is weaker than its service brake.
-        return Brakes(service_mps2=service, emergency_mps2=max(service, float(vehicle.getEmergencyDecel(name))))
+        emergency = max(service, float(vehicle.getEmergencyDecel(name)))
+        return Brakes(service_mps2=service, emergency_mps2=emergency)
 
     def allowed_mps(self, actor_id: str) -> float:
         """The speed that a vehicle would drive on a free road."""
         return float(self._api.vehicle.getAllowedSpeed(actor_id.partition(":")[2]))
 
-    def apply(self, order: ActorCommand) -> None:
-        """Carry an order out; an actor that has left meanwhile is passed over."""
-        domain, _, name = order.actor_id.partition(":")
+    def apply(self, command: ActorCommand) -> None:
+        """Send a command to SUMO; one for an actor that has left meanwhile has no effect."""
+        domain, _, name = command.actor_id.partition(":")
         try:
             if domain == "p":
-                self._api.person.setSpeed(name, order.speed_mps)
+                self._api.person.setSpeed(name, command.speed_mps)
             else:
-                self._steer(name, order)
+                self._steer(name, command)
         except self._api.TraCIException:
-            self._drop_modes(order.actor_id)
-            log.debug("%s left before it could be commanded", order.actor_id)
+            self._drop_modes(command.actor_id)
+            log.debug("%s left before it could be commanded", command.actor_id)
 
     def turn_away(self, actor_id: str) -> None:
         """Take an actor out of the simulation that SUMO put where a chair stands."""
@@ -135,32 +154,33 @@ class VehicleControl:
         log.info("%s departed on top of a wheelchair and was removed", actor_id)
 
     def _drop_modes(self, actor_id: str) -> None:
-        """Forget the modes of who has left; a person may have the name of a vehicle that is still under orders."""
+        """Forget the modes of a vehicle that has left; a person may have the same name."""
         domain, _, name = actor_id.partition(":")
         if domain == "v":
             self._modes.pop(name, None)
 
-    def _steer(self, name: str, order: ActorCommand) -> None:
+    def _steer(self, name: str, command: ActorCommand) -> None:
         vehicle = self._api.vehicle
         modes = self._modes.get(name)
         if modes is None:
-            # As they were before the first order, since a scenario may have set its own.
-            modes = self._modes[name] = (vehicle.getSpeedMode(name), vehicle.getLaneChangeMode(name))
+            # As they were before the first command, since a scenario may have set its own.
+            modes = vehicle.getSpeedMode(name), vehicle.getLaneChangeMode(name)
+            self._modes[name] = modes
         speed_mode, lane_mode = modes
-        if order.hard:
+        if command.hard:
             speed_mode &= _NO_DECEL_BOUND
-        if order.keep_lane:
-            lane_mode = _ONLY_ORDERED_PUSHY if order.pushy else _ONLY_ORDERED
-        vehicle.setSpeed(name, order.speed_mps)
+        if command.stay_in_lane:
+            lane_mode = _ONLY_ORDERED_PUSHY if command.pushy else _ONLY_ORDERED
+        vehicle.setSpeed(name, command.speed_mps)
         if vehicle.getSpeedMode(name) != speed_mode:
             vehicle.setSpeedMode(name, speed_mode)
         if vehicle.getLaneChangeMode(name) != lane_mode:
             vehicle.setLaneChangeMode(name, lane_mode)
-        if order.lane_index is not None:
-            vehicle.changeLane(name, order.lane_index, _LANE_HOLD_S)
-        if order.aside_m is not None:
-            vehicle.changeSublane(name, order.aside_m)
-        if order.speed_mps == LET_GO and not order.keep_lane:
+        if command.lane_index is not None:
+            vehicle.changeLane(name, command.lane_index, _LANE_HOLD_S)
+        if command.aside_m is not None:
+            vehicle.changeSublane(name, command.aside_m)
+        if command.speed_mps == LET_GO and not command.stay_in_lane:
             del self._modes[name]
 
     def _through_junction(self, lane_id: str, target: str) -> list[str]:
@@ -173,8 +193,3 @@ class VehicleControl:
             # The lane inside the junction (`via`) where there is one, else the lane behind it.
             lanes.append(links[0][4] or links[0][0])
         return lanes if not target or lanes[-1] == target else [*lanes, target]
-
-    def _permits(self, lane_id: str, kind: str) -> bool:
-        allowed = self._api.lane.getAllowed(lane_id)
-        # SUMO lists no class as allowed where all of them are.
-        return kind in allowed if allowed else kind not in self._api.lane.getDisallowed(lane_id)
