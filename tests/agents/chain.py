@@ -30,6 +30,9 @@ class TinyTask(gym.Env):
         self._begin()
         return self._observe(), {}
 
+    def _is_right(self, action):
+        return bool(self.actions.points[int(action)][0] > 0)
+
 
 class Chain(TinyTask):
     """Stick forward (y > 0) goes on and earns 1 at the end; anything else ends the episode with 0.3 at once."""

@@ -21,7 +21,7 @@ class Recall(TinyTask):
     def step(self, action):
         self.step_count += 1
         done = self.step_count == LENGTH
-        right = bool(self.actions.points[int(action)][0] > 0)
+        right = self._is_right(action)
         reward = (1.0 if right == bool(self.cue) else -1.0) if done else 0.0
         return self._observe(), reward, done, False, {}
 
@@ -35,7 +35,7 @@ class Clock(Recall):
     def step(self, action):
         self.step_count += 1
         last = self.step_count == LENGTH
-        right = bool(self.actions.points[int(action)][0] > 0)
+        right = self._is_right(action)
         return self._observe(), (1.0 if right == last else -1.0) / LENGTH, last, False, {}
 
 
@@ -55,5 +55,5 @@ class Biased(TinyTask):
     def step(self, action):
         if self.second:
             return self._observe(), float(self.noise.normal(-0.1, 1.0)), True, False, {}
-        self.second = bool(self.actions.points[int(action)][0] > 0)
+        self.second = self._is_right(action)
         return self._observe(), 0.0, not self.second, False, {}

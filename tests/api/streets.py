@@ -4,11 +4,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 from gymnasium.utils.env_checker import data_equivalence
 
 TINY = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24")
 LEARNABLE = ("world.warmup_s=0", "cameras.0.width_px=40", "cameras.0.height_px=36")  # what SB3's networks can take
 ACTIONS = 81
+BOTH = np.array([44, 44])  # an action for each of two chairs
 
 
 def action_at(step: int, seat: int = 0) -> int:

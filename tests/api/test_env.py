@@ -18,7 +18,7 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import wcsim
-from tests.api.streets import Counting, action_at, equal
+from tests.api.streets import BOTH, Counting, action_at, equal
 from wcsim.agents.envs.env_spec import EnvOptions
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
@@ -45,12 +45,14 @@ NOT_AN_IMAGE = (
 )
 
 CLASSES = (WheelchairEnv, StreetParallelEnv, StreetVecEnv)
+EACH_CHECKER = pytest.mark.parametrize("checker", [check_env, sb3_check_env], ids=["gymnasium", "sb3"])
+Env = gymnasium.Env[Any, Any]
 Shown = list[tuple[Any, ...]]
 """Frames: an observation, and what else is compared."""
 
 
 @contextmanager
-def made(town: Path, *overrides: str, sized: tuple[str, ...] = TINY, **more: Any) -> Iterator[gymnasium.Env[Any, Any]]:
+def made(town: Path, *overrides: str, sized: tuple[str, ...] = TINY, **more: Any) -> Iterator[Env]:
     env = gymnasium.make(wcsim.ENV_ID, town=str(town), overrides=(NO_WARMUP, *sized, *overrides), **more)
     try:
         yield env
@@ -58,7 +60,7 @@ def made(town: Path, *overrides: str, sized: tuple[str, ...] = TINY, **more: Any
         env.close()
 
 
-def drive(env: gymnasium.Env[Any, Any], steps: int, seed: int | None) -> Shown:
+def drive(env: Env, steps: int, seed: int | None) -> Shown:
     """What a user sees of an episode that is driven by actions which depend on nothing but the step."""
     observation, info = env.reset(seed=seed)
     seen = [(observation, 0.0, False, False, info["objects"].state)]
@@ -71,7 +73,7 @@ def drive(env: gymnasium.Env[Any, Any], steps: int, seed: int | None) -> Shown:
     return seen
 
 
-def tick_of(env: gymnasium.Env[Any, Any]) -> int:
+def tick_of(env: Env) -> int:
     return env.unwrapped._chair.now.tick
 
 
@@ -83,7 +85,7 @@ def warnings_of(town: Path, checker: Any, *overrides: str) -> list[str]:
     return [str(item.message) for item in caught]
 
 
-@pytest.mark.parametrize("checker", [check_env, sb3_check_env], ids=["gymnasium", "sb3"])
+@EACH_CHECKER
 def test_checkers_find_nothing_in_the_compact_form(corner, checker):
     assert warnings_of(corner, checker) == []
 
@@ -97,7 +99,7 @@ def test_checkers_find_nothing_in_table_3_but_that_floats_are_no_stored_images(c
     assert all(got.startswith(text) for got, text in zip(told, expected, strict=True))
 
 
-@pytest.mark.parametrize("checker", [check_env, sb3_check_env], ids=["gymnasium", "sb3"])
+@EACH_CHECKER
 def test_further_cameras_have_keys_of_their_own_and_checkers_find_nothing(corner, checker):
     two = 'env.camera=["front","rear"]'
     assert warnings_of(corner, checker, two) == []
@@ -161,7 +163,7 @@ def test_gymnasiums_own_vector_environments_work(corner):
     try:
         vec.reset(seed=3)
         for _ in range(6):
-            observations, rewards, _, truncated, info = vec.step(np.array([44, 44]))
+            observations, rewards, _, truncated, info = vec.step(BOTH)
         assert observations["depth"].shape == (2, 1, 24, 32)
         assert rewards.shape == truncated.shape == (2,)
         assert set(info) >= {"state", "event_step"}
@@ -410,7 +412,7 @@ def test_an_action_that_is_none_of_the_set_is_refused_and_nothing_moves(corner):
 def test_a_seed_that_is_none_is_refused_before_a_world_is_made(corner, seed):
     with made(corner) as env, pytest.raises(ConfigError, match="expected an integer from 0 to"):
         env.reset(seed=seed)
-    for face in (WheelchairEnv, StreetParallelEnv, StreetVecEnv):
+    for face in CLASSES:
         with pytest.raises(ConfigError, match="expected an integer from 0 to"):
             face(str(corner), seed=seed)
     several = StreetVecEnv(str(corner))
@@ -420,7 +422,7 @@ def test_a_seed_that_is_none_is_refused_before_a_world_is_made(corner, seed):
         StreetParallelEnv(str(corner)).reset(seed=seed)
 
 
-def by_id(**words: Any) -> gymnasium.Env[Any, Any]:
+def by_id(**words: Any) -> Env:
     return gymnasium.make(wcsim.ENV_ID, **words)
 
 
@@ -454,7 +456,7 @@ def test_overrides_are_laid_over_a_configuration_too_and_a_preset_beside_one_is_
     config = resolve("quick", TINY)
     env = face(config=config, overrides=("env.max_steps=7",))
     found = (env.unwrapped if face is by_id else env).config
-    assert found == resolve(config, ("env.max_steps=7",)) != config
+    assert found == resolve(config, "env.max_steps=7") != config
     with pytest.raises(ConfigError, match=r"config and preset='laptop': expected one of them"):
         face(config=config, preset="laptop")
 

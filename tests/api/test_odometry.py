@@ -59,7 +59,7 @@ def test_every_face_shows_the_same(corner):
 
 def test_off_is_as_before(corner):
     off, on, none = quick_config(), quick_config(ON), quick_config("sensors.odometry=none")
-    assert off == none == resolve(on, ("sensors=none",))
+    assert off == none == resolve(on, "sensors=none")
     assert "sensors" not in off.model_dump() and "sensors" not in off.vary.model_dump()
     assert off.world_digest() != on.world_digest() and RunConfig.model_validate_json(on.model_dump_json()) == on
     assert not resolve("paper").sensors.on()

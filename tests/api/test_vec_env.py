@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 import wcsim
 from tests.agents.conftest import one_thread  # noqa: F401 - several threads wait for each other in small networks
-from tests.api.streets import LEARNABLE, TINY, action_at, closed_in_the_end, equal
+from tests.api.streets import BOTH, LEARNABLE, TINY, action_at, closed_in_the_end, equal
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.learning.build import build_q_learner
 from wcsim.config import resolve
@@ -140,7 +140,7 @@ def test_seqdqn_learns_from_chairs_that_share_a_street_and_equal_seeds_give_equa
 def test_steps_out_of_turn_are_refused_and_nothing_moves(made):
     vec = made(chairs=2)
     with pytest.raises(ProtocolError, match="call reset"):
-        vec.step_async(np.array([44, 44]))
+        vec.step_async(BOTH)
     vec.seed(1)
     vec.reset()
     with pytest.raises(ProtocolError, match="before step_async"):
@@ -150,15 +150,15 @@ def test_steps_out_of_turn_are_refused_and_nothing_moves(made):
     for wrong in (np.array([44, 81]), np.array([44.0, 1.5]), np.array([44.0, np.nan]), [44, "x"], [44, None], "ab"):
         with pytest.raises(ProtocolError, match=r"expected (an integer from 0 to 80|2, one for each chair)"):
             vec.step_async(wrong)
-    vec.step_async(np.array([44, 44]))
+    vec.step_async(BOTH)
     with pytest.raises(ProtocolError, match="came twice"):
-        vec.step_async(np.array([44, 44]))
+        vec.step_async(BOTH)
     assert [info["event_step"] for info in vec.step_wait()[3]] == [1, 1]
     for seed in (None, 1):
-        vec.step_async(np.array([44, 44]))
+        vec.step_async(BOTH)
         vec.seed(seed)
         vec.reset()  # SB3 allows it in the middle of a step
-        assert [info["event_step"] for info in vec.step(np.array([44, 44]))[3]] == [1, 1]
+        assert [info["event_step"] for info in vec.step(BOTH)[3]] == [1, 1]
     vec.close()
     vec.close()
 

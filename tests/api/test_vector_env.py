@@ -20,7 +20,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import wcsim
 from tests.agents.conftest import one_thread  # noqa: F401 - several threads wait for each other in small networks
-from tests.api.streets import LEARNABLE, TINY, Counting, action_at, closed_in_the_end, equal
+from tests.api.streets import BOTH, LEARNABLE, TINY, Counting, action_at, closed_in_the_end, equal
 from wcsim.agents.envs import wheelchair_env
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
@@ -70,7 +70,7 @@ def test_infos_are_as_gymnasium_wants_them_where_an_episode_ends(made):
     _, infos = env.reset(seed=1)
     assert not infos["is_success"].any() and infos["_is_success"].all()
     for step in range(1, 7):
-        _, _, _, truncated, infos = env.step(np.array([44, 44]))
+        _, _, _, truncated, infos = env.step(BOTH)
         assert truncated.tolist() == [step % 3 == 0] * 2
         assert ("final_info" in infos) == (step % 3 == 0)
         assert infos["event_step"].tolist() == [step % 3] * 2, "those of the frame that is shown"
@@ -82,7 +82,7 @@ def test_wrong_actions_and_seeds_are_refused_and_nothing_moves(made):
     env = made()
     for _ in range(2):
         with pytest.raises(ProtocolError, match="call reset"):
-            env.step(np.array([44, 44]))
+            env.step(BOTH)
         env.reset(seed=1)
         env.close()
         assert env._chairs._group is None, "a second close() ends the second world"
@@ -92,7 +92,7 @@ def test_wrong_actions_and_seeds_are_refused_and_nothing_moves(made):
     for told, wrong in (("an integer", {"seed": [1, 2]}), ("none", {"options": {"reset_mask": [True, False]}})):
         with pytest.raises(ConfigError, match=f"expected {told}"):
             env.reset(**wrong)
-    assert env.step(np.array([44, 44]))[4]["event_step"].tolist() == [1, 1]
+    assert env.step(BOTH)[4]["event_step"].tolist() == [1, 1]
 
 
 def test_gymnasiums_statistics_and_pictures_work_with_it(made):

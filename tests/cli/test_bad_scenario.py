@@ -12,16 +12,15 @@ from tests.cli.conftest import Result, files_in, parsed
 from tests.cli.test_bad_input import refused
 from tests.towns.made import hostile
 from tests.towns.made.nets import PAVED
-from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.tools import run_tool
 
 RUN = ("--seconds", "1", "--set", "cameras.0.width_px=32", "--set", "cameras.0.height_px=24", "--out", "run")
 
 
 @pytest.fixture
-def theirs(corner: Path, folder: Path) -> Path:
+def theirs(corner_town: object, folder: Path) -> Path:
     """The sound town as a stranger's scenario: no town.toml, nothing compressed."""
-    return hostile.scenario(find_town(str(corner)), folder.parent / "theirs").parent
+    return hostile.scenario(corner_town, folder.parent / "theirs").parent
 
 
 def one_line(result: Result) -> str:

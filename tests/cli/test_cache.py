@@ -10,7 +10,6 @@ from tests.cli.conftest import parsed
 from wcsim.agents.runs.transfer import KEY_FILE
 from wcsim.core.files import KERNELS
 from wcsim.towns.cache.folder import WRITTEN_S
-from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 
 KEY = "0123456789abcdef" * 2
@@ -79,13 +78,12 @@ def test_a_cache_that_is_not_there_is_empty(wcsim, tmp_path, monkeypatch):
     assert not (tmp_path / "none").exists()
 
 
-def test_a_street_in_use_outlives_the_clearing(wcsim, corner, tmp_path, monkeypatch):
+def test_a_street_in_use_outlives_the_clearing(wcsim, corner_town, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "used"))
-    town = find_town(str(corner))
-    street = load_street(town)
+    street = load_street(corner_town)
     assert wcsim("cache", "--clear").code == 0
     assert not list((tmp_path / "used" / "wcsim").iterdir())
-    again = load_street(town)
+    again = load_street(corner_town)
     assert list((tmp_path / "used" / "wcsim").glob("street-*.npz"))
     for key in again.tiles.keys:
         assert street.tiles.mesh(key).vertices_W_m.tobytes() == again.tiles.mesh(key).vertices_W_m.tobytes()

@@ -28,12 +28,12 @@ def test_what_is_held_out_is_there():
 
 def test_neither_a_file_nor_data_brings_a_user_or_town_that_is_held_out(tmp_path: Path) -> None:
     (tmp_path / "me.toml").write_text('base = "ataxic"')
-    users = resolve(RunConfig(), (f'collect.profiles=["{tmp_path}/me.toml"]',))
+    users = resolve(RunConfig(), f'collect.profiles=["{tmp_path}/me.toml"]')
     with pytest.raises(ConfigError, match=r"collect\.profiles: profile ataxic is held out"):
         refuse_held_out_users(users)
-    refuse_held_out_users(resolve(RunConfig(), ("env.profile=recorded:stick.csv",)))
-    read = resolve(RunConfig(), (f'collect.data=["{tmp_path}"]',))
-    met = resolve(RunConfig(), ('collect.profiles=["recorded"]',))
+    refuse_held_out_users(resolve(RunConfig(), "env.profile=recorded:stick.csv"))
+    read = resolve(RunConfig(), f'collect.data=["{tmp_path}"]')
+    met = resolve(RunConfig(), 'collect.profiles=["recorded"]')
     write_data_manifest(tmp_path, met, {"corner": "a" * 64}, {})
     with pytest.raises(ConfigError, match="profile recorded is held out"):
         refuse_held_out_users(read)
@@ -46,7 +46,7 @@ def test_a_made_town_that_is_held_out_is_known_by_its_seed(corner: Path, corner_
     shutil.copytree(corner, tmp_path / "town")
     toml = tmp_path / "town" / "town.toml"
     toml.write_text(f'{toml.read_text()}rebuild = "wcsim town make x --seed 5953 --out . --kind random"\n')
-    config = resolve(RunConfig(), (f'collect.towns=["{tmp_path}/town"]',))
+    config = resolve(RunConfig(), f'collect.towns=["{tmp_path}/town"]')
     with pytest.raises(ConfigError, match="town made:5953 is held out"):
         towns_of(corner_town, (), config, tmp_path, 3)
 

@@ -1,6 +1,6 @@
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -18,10 +18,27 @@ from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
 from wcsim.types import ClassId, Joystick
 
+States = list[dict[str, Any]]
 SLOW_S = 40.0  # to open a street that was never built
 
 
-def heard_of(start: DriveStart, monkeypatch: pytest.MonkeyPatch, *said: dict[str, Any]) -> list[tuple[bytes, bytes]]:
+def received(server: Connection) -> list[bytes]:
+    """What the server has heard by now."""
+    heard = []
+    while server.poll():
+        try:
+            heard.append(server.recv_bytes())
+        except EOFError:
+            break
+    return heard
+
+
+def states(heard: list[bytes]) -> States:
+    return [json.loads(data[1:]) for data in heard if data.startswith(JSON + b'{"say":"state"')]
+
+
+@pytest.fixture
+def heard_of(corner: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[bytes]]:
     """What the server hears of a drive whose page says some things while the street opens, slowly, and then ends."""
     now_s = [100.0]
 
@@ -30,56 +47,44 @@ def heard_of(start: DriveStart, monkeypatch: pytest.MonkeyPatch, *said: dict[str
         return DriveSession(*args)
 
     monkeypatch.setattr(runner_module, "DriveSession", slowly)
-    server, pipe = Pipe()
-    for message in (*said, {"say": "end"}):
-        server.send(as_said(**message))
-    _DriveRunner(pipe, start, clock=lambda: now_s[0]).run()
-    pipe.close()
-    heard = []
-    while server.poll():
-        try:
-            data = server.recv_bytes()
-        except EOFError:
-            break
-        heard.append((data[:1], data[1:]))
+
+    def heard(*said: dict[str, Any], policy: str = "dwa", seed: int = 0) -> list[bytes]:
+        server, pipe = Pipe()
+        for message in (*said, {"say": "end"}):
+            server.send(as_said(**message))
+        start = DriveStart(town=str(corner), policy=policy, seed=seed)
+        _DriveRunner(pipe, start, clock=lambda: now_s[0]).run()
+        pipe.close()
+        return received(server)
+
     return heard
 
 
-def test_a_street_that_opened_slowly_is_seen_before_its_first_tick_and_blames_no_page(
-    corner: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    start = DriveStart(town=str(corner), policy="dwa")
-    heard = heard_of(start, monkeypatch, {"say": "stick", "x": 0.0, "y": 0.0}, {"say": "ready"})
-    states = [json.loads(data) for kind, data in heard if kind == JSON]
-    states = [state for state in states if state["say"] == "state"]
-    assert (states[0]["tick"], states[0]["waiting"]) == (0, "")
-    assert states[-1]["tick"] == 1
-    kinds = [kind for kind, data in heard if kind == PICTURES or b'"tick":1,' in data]
+def test_a_street_that_opened_slowly_is_seen_before_its_first_tick_and_blames_no_page(heard_of) -> None:
+    heard = heard_of({"say": "stick", "x": 0.0, "y": 0.0}, {"say": "ready"})
+    first, *_, last = states(heard)
+    assert (first["tick"], first["waiting"]) == (0, "")
+    assert last["tick"] == 1
+    kinds = [data[:1] for data in heard if data[:1] == PICTURES or b'"tick":1,' in data]
     assert kinds[:2] == [PICTURES, JSON]
 
 
-def test_nobody_at_the_stick_lets_time_stand_still(corner: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    heard = heard_of(DriveStart(town=str(corner), policy="dwa"), monkeypatch, {"say": "ready"})
-    states = [json.loads(data) for kind, data in heard if kind == JSON and b'"say":"state"' in data]
-    assert {state["tick"] for state in states} == {0}
-    assert sum(kind == PICTURES for kind, _ in heard) == 1
+def test_nobody_at_the_stick_lets_time_stand_still(heard_of) -> None:
+    heard = heard_of({"say": "ready"})
+    assert {state["tick"] for state in states(heard)} == {0}
+    assert sum(data[:1] == PICTURES for data in heard) == 1
 
 
-def test_the_street_of_a_policy_without_pictures_is_drawn(corner: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    heard = heard_of(
-        DriveStart(town=str(corner), policy="tests.drive.lookers:SeesNumbers"), monkeypatch, {"say": "ready"}
-    )
-    assert sum(kind == PICTURES for kind, _ in heard) == 1
+def test_the_street_of_a_policy_without_pictures_is_drawn(heard_of) -> None:
+    heard = heard_of({"say": "ready"}, policy="tests.drive.lookers:SeesNumbers")
+    assert sum(data[:1] == PICTURES for data in heard) == 1
 
 
-def test_the_chair_faces_its_way_when_it_stands_in_its_street_and_the_terminal_hears_of_it(
-    corner: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_chair_faces_its_way_when_it_stands_in_its_street_and_the_terminal_hears_of_it(heard_of) -> None:
     """Of a seed whose way begins behind the chair."""
-    heard = heard_of(DriveStart(town=str(corner), policy="dwa", seed=4), monkeypatch)
-    bearings = [json.loads(data)["bearing_deg"] for kind, data in heard if kind == JSON and b'"say":"state"' in data]
-    assert abs(bearings[0]) < 45
-    lines = [data.decode() for kind, data in heard if kind == LINE]
+    heard = heard_of(seed=4)
+    assert abs(states(heard)[0]["bearing_deg"]) < 45
+    lines = [data[1:].decode() for data in heard if data[:1] == LINE]
     assert lines[0].endswith(", seed 4: ready to drive")
 
 
@@ -163,16 +168,6 @@ def test_a_policy_that_breaks_again_at_once_is_told_of_again(drive: _DriveRunner
     assert not drive.clock.paused, "who goes on knows of it"
 
 
-def states(server: Connection) -> list[dict[str, Any]]:
-    """Those that the server has heard by now."""
-    found = []
-    while server.poll():
-        data = server.recv_bytes()
-        if data.startswith(JSON + b'{"say":"state"'):
-            found.append(json.loads(data[1:]))
-    return found
-
-
 class Desk:
     """A runner whose clock is set by hand, and what its server hears."""
 
@@ -185,13 +180,20 @@ class Desk:
     def say(self, say: str, **more: object) -> None:
         self.server.send(as_said(say, **more))
 
-    def turn(self, after_s: float = 0.0, **stick: object) -> list[dict[str, Any]]:
+    def turn(self, after_s: float = 0.0, **stick: object) -> States:
         """Let time go on, with a page that holds the stick if its message is said."""
         self.now_s += after_s
         if stick:
             self.say("stick", **{"x": 0.0, "y": 0.0, **stick})
         self.runner._turn()
-        return states(self.server)
+        return states(received(self.server))
+
+    def pause(self, on: bool = True) -> None:
+        self.say("pause", on=on)
+
+    @property
+    def ticks(self) -> int:
+        return self.runner.session.ticks
 
 
 @pytest.fixture
@@ -203,7 +205,7 @@ def desk(corner: Path) -> Iterator[Desk]:
 
 def test_who_comes_back_while_time_is_paused_is_not_told_that_nobody_is_there(desk: Desk) -> None:
     desk.turn(x=0.0)
-    desk.say("pause", on=True)
+    desk.pause()
     assert desk.turn(0.1)[-1]["paused"]
     assert "No page is driving" in desk.turn(10.0)[-1]["waiting"]
     assert desk.turn(0.1) == [], "said once"
@@ -213,16 +215,16 @@ def test_who_comes_back_while_time_is_paused_is_not_told_that_nobody_is_there(de
 def test_time_that_stood_still_is_no_slow_motion(desk: Desk) -> None:
     for _ in range(3):
         desk.turn(0.1, x=0.0)
-    desk.say("pause", on=True)
+    desk.pause()
     desk.turn(60.0, x=0.0)
-    desk.say("pause", on=False)
+    desk.pause(False)
     assert [desk.turn(0.1, x=0.0)[-1]["real"] for _ in range(3)] == [1.0] * 3
     assert desk.turn(0.2, x=0.0)[-1]["real"] < 1.0
 
 
 def test_a_page_that_says_its_stick_all_the_time_keeps_nothing_else_waiting(desk: Desk) -> None:
     desk.turn(x=0.0)
-    desk.say("pause", on=True)
+    desk.pause()
     assert "No page is driving" in desk.turn(10.0)[-1]["waiting"]
     enough = threading.Event()
 
@@ -234,7 +236,7 @@ def test_a_page_that_says_its_stick_all_the_time_keeps_nothing_else_waiting(desk
 
     page = threading.Thread(target=hold)
     page.start()
-    told: list[dict[str, Any]] = []
+    told: States = []
     while page.is_alive() and not told:
         told = desk.turn()
     in_between = page.is_alive()
@@ -247,26 +249,26 @@ def test_a_page_that_was_left_lets_a_persons_time_stand_still(desk: Desk) -> Non
     for _ in range(10):
         desk.turn(0.5, x=0.0, away=True)
     assert desk.runner.session is not None and "in the background" in desk.runner.waiting
-    ticks = desk.runner.session.ticks
+    ticks = desk.ticks
     for _ in range(4):
         desk.turn(0.5, x=0.0, away=True)
-    assert desk.runner.session.ticks == ticks
-    assert desk.turn(0.5, x=0.0)[-1]["waiting"] == "" and desk.runner.session.ticks > ticks
+    assert desk.ticks == ticks
+    assert desk.turn(0.5, x=0.0)[-1]["waiting"] == "" and desk.ticks > ticks
     desk.say("driveby", who="simulated")
     for _ in range(10):
         desk.turn(0.5, x=0.0, away=True)
-    assert desk.runner.waiting == "" and desk.runner.session.ticks > ticks + 5, "one may look on from elsewhere"
-    ticks = desk.runner.session.ticks
+    assert desk.runner.waiting == "" and desk.ticks > ticks + 5, "one may look on from elsewhere"
+    ticks = desk.ticks
     for _ in range(3):
         desk.turn(20.0)
-    assert desk.runner.waiting == "" and desk.runner.session.ticks == ticks + 3, "hidden pages say little"
+    assert desk.runner.waiting == "" and desk.ticks == ticks + 3, "hidden pages say little"
     desk.say("gone")
     assert "No page is driving" in desk.turn(0.1)[-1]["waiting"]
 
 
 def test_help_that_is_asked_for_while_time_is_paused_is_counted_at_once(desk: Desk) -> None:
     desk.turn(x=0.0)
-    desk.say("pause", on=True)
+    desk.pause()
     desk.say("help")
     desk.say("help")
     assert desk.turn(0.1)[-1]["kpis"]["helps"] == 1, "once a tick"
@@ -281,24 +283,21 @@ def test_a_press_while_time_is_paused_does_not_overrule_once_it_goes_on(desk: De
 
     press()
     assert desk.turn(0.1)[-1]["overruled"]
-    desk.say("pause", on=True)
+    desk.pause()
     press()
     desk.turn(0.1)
-    desk.say("pause", on=False)
+    desk.pause(False)
     told = desk.turn(0.1)[-1]
     assert (told["paused"], told["overruled"]) == (False, False)
-    assert desk.runner.session is not None and desk.runner.session.ticks == 2
+    assert desk.runner.session is not None and desk.ticks == 2
 
 
 def test_a_slow_wish_is_told_of_when_it_is_done_also_where_it_is_refused(desk: Desk) -> None:
-    states(desk.server)
+    received(desk.server)
     for wish in ({"say": "newplace"}, {"say": "setuser", "profile": "nobody"}, {"say": "help"}):
         desk.say(**wish)
     desk.runner._turn()
-    heard = []
-    while desk.server.poll():
-        heard.append(desk.server.recv_bytes())
-    assert heard.count(DONE) == 2
+    assert received(desk.server).count(DONE) == 2
 
 
 def test_a_signal_leaves_what_takes_long_but_no_end_that_is_under_way(desk: Desk) -> None:
@@ -311,13 +310,11 @@ def test_no_message_of_a_page_ends_the_drive(desk: Desk) -> None:
     desk.server.send(m.Open(town="\U0001f9bd" * 400, suite="a" * 390))
     desk.server.send(m.GoLive())  # of the page of a film
     desk.runner._turn()
-    told = []
-    while desk.server.poll():
-        data = desk.server.recv_bytes()
-        told += [json.loads(data[1:])["told"]] if data.startswith(JSON + b'{"say":"notice"') else []
+    heard = received(desk.server)
+    told = [json.loads(data[1:])["told"] for data in heard if data.startswith(JSON + b'{"say":"notice"')]
     assert len(told) == 1 and "is not one that the page offers" in told[0]
     desk.turn(0.1, x=0.0)
-    assert desk.runner.session is not None and desk.runner.session.ticks > 0, "the drive goes on"
+    assert desk.runner.session is not None and desk.ticks > 0, "the drive goes on"
 
 
 def test_the_page_is_told_the_streets_seed_and_when_the_chair_is_on_the_road(drive: _DriveRunner) -> None:

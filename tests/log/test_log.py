@@ -67,6 +67,11 @@ RECORDS: tuple[Input, ...] = (
 )
 
 
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "j"
+
+
 def write(path: Path, records=RECORDS, header=HEADER) -> str:
     with LogWriter(path, header) as writer:
         for record in records:
@@ -74,11 +79,11 @@ def write(path: Path, records=RECORDS, header=HEADER) -> str:
     return hash_log(path)
 
 
-def test_commands_come_back_to_the_last_bit(tmp_path):
+def test_commands_come_back_to_the_last_bit(path):
     sticks = [(-0.0, 5e-324), (0.1 + 0.2, -1.0), (1.0, 0.25)]
     commands = tuple(Command(seat=i, tick=4, joystick=Joystick(x, y)) for i, (x, y) in enumerate(sticks))
-    write(tmp_path / "j", [make_ticked_record(0, 5, commands, "ff")])
-    (got,) = read_whole(tmp_path / "j").records
+    write(path, [make_ticked_record(0, 5, commands, "ff")])
+    (got,) = read_whole(path).records
     assert isinstance(got, Ticked)
     assert [(c.seat, c.tick) for c in got.commands] == [(0, 4), (1, 4), (2, 4)]
     assert [(c.joystick.x.hex(), c.joystick.y.hex()) for c in got.commands] == [(x.hex(), y.hex()) for x, y in sticks]
@@ -137,45 +142,45 @@ def test_a_journal_is_gone_on_with_where_it_was_torn(tmp_path):
     assert path.read_bytes() == whole.read_bytes()
 
 
-def test_a_journal_is_never_written_over(tmp_path):
-    write(tmp_path / "j")
-    before = (tmp_path / "j").read_bytes()
+def test_a_journal_is_never_written_over(tmp_path, path):
+    write(path)
+    before = path.read_bytes()
     with pytest.raises(ConfigError, match="exists"):
-        LogWriter(tmp_path / "j", HEADER)
+        LogWriter(path, HEADER)
     with pytest.raises(ConfigError, match="choose the name of a new file"):
-        LogWriter(tmp_path / "j" / "k", HEADER)
+        LogWriter(path / "k", HEADER)
     (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(ConfigError, match="link"):
         LogWriter(tmp_path / "link", HEADER)
-    assert (tmp_path / "j").read_bytes() == before
+    assert path.read_bytes() == before
 
 
-def test_a_closed_journal_says_so(tmp_path):
-    writer = LogWriter(tmp_path / "j", HEADER)
+def test_a_closed_journal_says_so(path):
+    writer = LogWriter(path, HEADER)
     writer.close()
     writer.close()
     with pytest.raises(WcsimError, match="closed"):
         writer.append(RECORDS[0])
 
 
-def test_every_record_can_be_read_as_soon_as_it_is_written(tmp_path):
-    with LogWriter(tmp_path / "j", HEADER) as writer:
-        reading = iter_journal_inputs(tmp_path / "j")
+def test_every_record_can_be_read_as_soon_as_it_is_written(path):
+    with LogWriter(path, HEADER) as writer:
+        reading = iter_journal_inputs(path)
         for count, record in enumerate(RECORDS, start=1):
             writer.append(record)
             assert next(reading) == record
-            assert len(read_whole(tmp_path / "j").records) == count
+            assert len(read_whole(path).records) == count
 
 
 @pytest.mark.parametrize(
     "data", [b"", b"hello", bytes(64), frame_payload(b"{}"), frame_payload(b"[1]"), frame_payload(b"\xff"), None]
 )
-def test_something_else_is_refused(tmp_path, data):
+def test_something_else_is_refused(path, data):
     if data is not None:
-        (tmp_path / "j").write_bytes(data)
+        path.write_bytes(data)
     for read in (read_header, read_whole, hash_log, LogWriter.append_to):
         with pytest.raises(WcsimError, match=r"j: .*(not a log|cannot be read)"):
-            read(tmp_path / "j")
+            read(path)
 
 
 @pytest.mark.parametrize(
@@ -199,13 +204,13 @@ def test_something_else_is_refused(tmp_path, data):
         pack(["z", b"\xff"]),
     ],
 )
-def test_a_whole_record_that_is_none_is_refused(tmp_path, payload):
-    write(tmp_path / "j", RECORDS[:2])
-    last = last_crc(tmp_path / "j")
-    with (tmp_path / "j").open("ab") as file:
+def test_a_whole_record_that_is_none_is_refused(path, payload):
+    write(path, RECORDS[:2])
+    last = last_crc(path)
+    with path.open("ab") as file:
         file.write(chained([payload], last))
     with pytest.raises(WcsimError, match=r"j: after \d+ bytes"):
-        read_whole(tmp_path / "j")
+        read_whole(path)
 
 
 @given(data=st.binary(max_size=200))
@@ -269,20 +274,20 @@ def apart(code: str, path: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(words, capture_output=True, text=True, cwd=Path(__file__).parents[3], check=False)
 
 
-def test_a_full_disk_leaves_whole_records_and_can_be_gone_on_with(tmp_path):
-    done = apart(FILL, tmp_path / "j")
+def test_a_full_disk_leaves_whole_records_and_can_be_gone_on_with(path):
+    done = apart(FILL, path)
     assert done.returncode == 0, done.stderr
     assert "could not be written (File too large)" in done.stdout
 
 
-def test_a_journal_that_cannot_begin_leaves_no_file(tmp_path, monkeypatch):
+def test_a_journal_that_cannot_begin_leaves_no_file(path, monkeypatch):
     def fails(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fdatasync", fails)
     with pytest.raises(DiskFullError, match="No space left"):
-        LogWriter(tmp_path / "j", HEADER)
-    assert not (tmp_path / "j").exists()
+        LogWriter(path, HEADER)
+    assert not path.exists()
 
 
 KILLED = """
@@ -299,27 +304,25 @@ for number in range(1, 200):
 """
 
 
-def test_a_killed_process_loses_nothing_that_was_acknowledged(tmp_path):
-    done = apart(KILLED, tmp_path / "j")
+def test_a_killed_process_loses_nothing_that_was_acknowledged(path):
+    done = apart(KILLED, path)
     assert done.returncode == -9, done.stderr
     acknowledged = int(done.stdout.split()[-1])
     assert acknowledged == 123
-    assert read_whole(tmp_path / "j").records == tuple(tick(n) for n in range(1, acknowledged + 1))
+    assert read_whole(path).records == tuple(tick(n) for n in range(1, acknowledged + 1))
 
 
-def test_a_journal_has_one_writer_at_a_time(tmp_path):
-    with LogWriter(tmp_path / "j", HEADER) as writer:
+def test_a_journal_has_one_writer_at_a_time(path):
+    with LogWriter(path, HEADER) as writer:
         writer.append(RECORDS[0])
         with pytest.raises(ConfigError, match="another process is writing this log"):
-            LogWriter.append_to(tmp_path / "j")
+            LogWriter.append_to(path)
         writer.append(RECORDS[1])
-    with LogWriter.append_to(tmp_path / "j") as writer:
+    with LogWriter.append_to(path) as writer:
         writer.append(RECORDS[2])
-    assert read_whole(tmp_path / "j").records == RECORDS[:3]
+    assert read_whole(path).records == RECORDS[:3]
 
 
-def test_a_journal_is_read_without_its_ticks(tmp_path):
-    write(tmp_path / "j")
-    assert list(iter_journal_part_inputs(tmp_path / "j", ticks=False)) == [
-        r for r in RECORDS if not isinstance(r, Ticked)
-    ]
+def test_a_journal_is_read_without_its_ticks(path):
+    write(path)
+    assert list(iter_journal_part_inputs(path, ticks=False)) == [r for r in RECORDS if not isinstance(r, Ticked)]

@@ -51,9 +51,7 @@ def test_it_is_carried_through_the_tick_by_its_velocity(engine, pool):
 
 
 def test_a_car_on_a_slope_is_pitched(engine, pool):
-    car = actor("a", 0.0, 0.0)
-    tilted = type(car)(**{name: getattr(car, name) for name in car.__slots__ if name != "pitch_rad"}, pitch_rad=0.2)
-    pool.place([move(tilted)])
+    pool.place([move(replace(actor("a", 0.0, 0.0), pitch_rad=0.2))])
     assert pool.poses()["a"][0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
     front, back = ray_down(engine, np.array([[1.5, 0.0], [-1.5, 0.0]]))
     assert front - back == pytest.approx(3.0 * math.tan(0.2), rel=0.05)

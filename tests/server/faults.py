@@ -90,13 +90,14 @@ class Simulation:
 
     def __init__(self, seed: int, trace: bool = False) -> None:
         self.draws, self._trace = Draws(seed), trace
+        self._unit = self.draws.unit
         self.clients = 1 + self.draws.below(6)
         self.capacity = self.clients
         self.rules = ServerRules(
             capacity=self.capacity, expected=1 + self.draws.below(self.clients), gather_s=8.0, lease_s=12.0,
             notice_s=1.0,
         )  # fmt: skip
-        self.now_s, self.jump_s = 0.0, 1000.0 * self.draws.unit()
+        self.now_s, self.jump_s = 0.0, 1000.0 * self._unit()
         self.core, self.world = ServerCore(self.rules), SimWorld()
         self.down_until_s = 0.0
         self._events: list[tuple[float, int, str, tuple[object, ...]]] = []
@@ -104,12 +105,12 @@ class Simulation:
         self.processes: dict[Peer, Process] = {}
         self.slots: dict[int, Process] = {}
         self._said: list[tuple[Peer, int, m.Request]] = []
-        self._any = self.draws.unit() < 0.5
+        self._any = self._unit() < 0.5
         self._delay_s = (0.02, 0.6)[self.draws.below(2)]
         for number in range(self.clients):
-            self._at(10.0 * self.draws.unit() ** 2, "start", number)
+            self._at(10.0 * self._unit() ** 2, "start", number)
         for _ in range(1 + self.draws.below(8)):
-            self._at(END_S * self.draws.unit(), "fault", FAULTS[self.draws.below(len(FAULTS))])
+            self._at(END_S * self._unit(), "fault", FAULTS[self.draws.below(len(FAULTS))])
         self._at(0.5, "clock")
 
     # --- the loop ---
@@ -170,7 +171,7 @@ class Simulation:
     def _post(self, peer: Peer, message: m.Reply) -> None:
         process = self.processes.get(peer)
         if process is not None and process.alive:
-            process.last_down_s = max(process.last_down_s, self.now_s + 0.001 + self._delay_s * self.draws.unit())
+            process.last_down_s = max(process.last_down_s, self.now_s + 0.001 + self._delay_s * self._unit())
             self._at(process.last_down_s, "reply", process, process.wire, message)
 
     def _on_clock(self) -> None:
@@ -204,7 +205,7 @@ class Simulation:
         seat = m.ANY_SEAT if self._any else number
         ask = JoinSettings(claim=b"claim%d" % number, name=f"c{number}", spec=SeatSpec(), seat=seat)
         core = ClientCore(ask, PATIENCE, lambda: next(self._sessions).to_bytes(m.SESSION_BYTES, "big"))
-        process = Process(number, peer, core, 0.3 + 3.0 * self.draws.unit())
+        process = Process(number, peer, core, 0.3 + 3.0 * self._unit())
         self.processes[peer] = self.slots[number] = process
         self._do(process, core.join(self.now_s))
 
@@ -224,7 +225,7 @@ class Simulation:
         if self.now_s < process.asleep_s:
             self._at(process.asleep_s, "act", process, session)
             return
-        if self.draws.unit() < 0.05:
+        if self._unit() < 0.05:
             self._do(process, core.respawn(self.now_s))
             return
         stick = Joystick(process.number / 8, self.world.stick(core.epoch, core.tick))
@@ -249,7 +250,7 @@ class Simulation:
 
     def _say(self, process: Process, message: m.Request) -> None:
         self._said.append((process.peer, process.wire, message))
-        process.last_up_s = max(process.last_up_s, self.now_s + 0.001 + self._delay_s * self.draws.unit())
+        process.last_up_s = max(process.last_up_s, self.now_s + 0.001 + self._delay_s * self._unit())
         self._at(process.last_up_s, "request", process, process.wire, message)
 
     def _see(self, process: Process, seen: ReceivedFrame, restarted: bool) -> None:
@@ -262,7 +263,7 @@ class Simulation:
                 raise Wrong(f"client {process.number} sees {now} after {process.seen[-1]}")
         process.seen.append(now)
         process.ticks += self.now_s > END_S
-        self._at(self.now_s + process.think_s * self.draws.unit(), "act", process, core.session)
+        self._at(self.now_s + process.think_s * self._unit(), "act", process, core.session)
 
     def _fail(self, process: Process, error: WcsimError) -> None:
         name = type(error).__name__
@@ -282,7 +283,7 @@ class Simulation:
 
     def _end(self, process: Process, then: str) -> None:
         process.alive = False
-        self._at(self.now_s + 2.0 + 10.0 * self.draws.unit(), then, process.number)
+        self._at(self.now_s + 2.0 + 10.0 * self._unit(), then, process.number)
 
     # --- faults ---
 
@@ -295,8 +296,8 @@ class Simulation:
             getattr(self, f"_fault_{kind.replace(' ', '_')}")(alive[self.draws.below(len(alive))])
 
     def _fault_crash(self, process: Process) -> None:
-        self._end(process, "start" if self.draws.unit() < 0.7 else "nothing")
-        if self.draws.unit() < 0.5:  # a child of this machine: its end is noticed
+        self._end(process, "start" if self._unit() < 0.7 else "nothing")
+        if self._unit() < 0.5:  # a child of this machine: its end is noticed
             self._at(self.now_s + 0.01, "lost", process.core.session)
 
     def _on_nothing(self, number: int) -> None:
@@ -310,7 +311,7 @@ class Simulation:
         self._on_lost(process.core.session)
 
     def _fault_hang(self, process: Process) -> None:
-        process.asleep_s = self.now_s + 20.0 * self.draws.unit()
+        process.asleep_s = self.now_s + 20.0 * self._unit()
 
     def _fault_slow(self, process: Process) -> None:
         process.think_s = 9.0
@@ -321,8 +322,8 @@ class Simulation:
 
     def _fault_cut(self, process: Process) -> None:
         process.wire += 1
-        if self.draws.unit() < 0.5:  # over the network its end is told, be it late
-            self._at(self.now_s + 6.0 * self.draws.unit(), "lost", process.core.session, True)
+        if self._unit() < 0.5:  # over the network its end is told, be it late
+            self._at(self.now_s + 6.0 * self._unit(), "lost", process.core.session, True)
 
     def _fault_lose_prefix(self, process: Process) -> None:
         """The connection goes between two messages of one answer."""
@@ -336,7 +337,7 @@ class Simulation:
         here = (process.peer, process.wire)
         said = [message for peer, wire, message in self._said[-20:] if (peer, wire) == here]
         for message in said:
-            self._at(self.now_s + 0.1 * self.draws.unit(), "request", process, process.wire, message)
+            self._at(self.now_s + 0.1 * self._unit(), "request", process, process.wire, message)
 
     def _fault_rebuild(self, process: Process) -> None:
         if process.core.phase is ClientPhase.THINK:
@@ -344,14 +345,14 @@ class Simulation:
             self._do(process, process.core.rebuild(5, self.now_s))
 
     def _fault_jump(self) -> None:
-        self.jump_s += 3600.0 * self.draws.unit()
+        self.jump_s += 3600.0 * self._unit()
 
     def _fault_replay(self) -> None:
         """What was said long ago comes again, from somewhere else."""
         for _ in range(min(10, len(self._said))):
             message = self._said[self.draws.below(len(self._said))][2]
             if not isinstance(message, m.Join | m.Leave):  # whoever has a session's key may end it
-                self._at(self.now_s + self.draws.unit(), "stray", b"else", message)
+                self._at(self.now_s + self._unit(), "stray", b"else", message)
 
     def _fault_rival(self) -> None:
         """Somebody else claims a seat; where it is free, it gets it and never acts."""
@@ -362,7 +363,7 @@ class Simulation:
     def _fault_world(self) -> None:
         for process in self.processes.values():
             process.wire += 1
-        self.down_until_s = self.now_s + 5.0 * self.draws.unit()
+        self.down_until_s = self.now_s + 5.0 * self._unit()
         self.world.begin_again()
         self.core = ServerCore(self.rules, self.world.epoch)
 

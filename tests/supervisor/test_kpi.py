@@ -160,10 +160,10 @@ def test_a_crash_says_nothing_of_how_smooth_the_drive_was():
     assert sums_of(*(step(speed_mps=speed) for speed in (1.0, 1.1, 1.2)))["accel_sq_sum"] == pytest.approx(2.0)
 
 
-def totals_after(*ticks: set[str], speed_mps: float = -1.0) -> KpiTotals:
+def totals_after(*ticks: set[str]) -> KpiTotals:
     totals = KpiTotals()
     for happened in ticks:
-        totals = totals.plus(happened, 0.5, speed_mps)
+        totals = totals.plus(happened, 0.5, -1.0)
     return totals
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.samples import ACTIONS, KERB_M, USUAL_OUTLINE, straight_route, strip_street
 from tests.support.yardstick import multiple
-from tests.users.actors import USUAL_RIMS_M, USUAL_WHEELS_M, actor, make_user
+from tests.users.actors import USUAL_RIMS_M, USUAL_WHEELS_M, actor, car, make_user, walker
 from tests.users.kinematics import TICK_S, Chair, Sim, plant, polyline
 from wcsim.config import ChairConfig
 from wcsim.core.frames import quaternion_from_ypr
@@ -18,14 +18,26 @@ from wcsim.types import ActorKind, Joystick, StreetGrid
 from wcsim.types.street import AT_EDGE
 
 STREET = strip_street()
-ORACLE = CrashOracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
-FORWARD = Joystick(0.0, 0.8)
-STOP = Joystick(0.0, 0.0)
+FORWARD, STOP, BACKWARDS = Joystick(0.0, 0.8), Joystick(0.0, 0.0), Joystick(0.0, -1.0)
+STAY, ON, BACK = (ACTIONS.nearest((0.0, y)) for y in (0.0, 1.0, -0.5))
 UP, DOWN = math.pi / 2, -math.pi / 2
+
+
+def oracle_of(grid=STREET.grid, outline=USUAL_OUTLINE, wheels=USUAL_WHEELS_M, rims=USUAL_RIMS_M, tick_s=0.1, **chair):
+    return CrashOracle(grid, ChairConfig(**chair), outline, wheels, rims, ACTIONS.points, tick_s)
+
+
+ORACLE = oracle_of()
+SOFT = oracle_of(decel_mps2=0.3)
 
 
 def danger(x, y, yaw, v=0.0, stick=FORWARD, actors=()) -> bool:
     return ORACLE.danger(plant(x, y, yaw, v), stick, actors)
+
+
+def meets(*others, v=1.3, stick=FORWARD) -> bool:
+    """Whether a chair in the middle of the pavement is in danger of others."""
+    return danger(5.0, 5.5, 0.0, v, stick, others)
 
 
 def safe_actions(state, others):
@@ -69,8 +81,8 @@ def test_an_edge_is_known_to_two_centimetres_where_a_kerb_cuts_a_cell():
     firsts = []
     for edge_m in (3.96, 4.0, 4.04):
         grid = told_of_edges(STREET.grid, edge_m)
-        oracle = CrashOracle(grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
-        found = [oracle.danger(plant(20.0, edge_m + 0.01 * cm, UP), Joystick(0.0, -1.0), ()) for cm in range(10, 80)]
+        oracle = oracle_of(grid)
+        found = [oracle.danger(plant(20.0, edge_m + 0.01 * cm, UP), BACKWARDS, ()) for cm in range(10, 80)]
         firsts.append(found.index(False))
         assert firsts[-1] > 0 and not any(found[firsts[-1] :])
     assert max(firsts) - min(firsts) <= 2
@@ -83,7 +95,7 @@ def test_casters_swing_outwards_in_a_turn():
     fixed = USUAL_WHEELS_M * (1.0, 1.0, 0.0)
     least_m = []
     for wheels in (USUAL_WHEELS_M, fixed):
-        oracle = CrashOracle(grid, ChairConfig(), USUAL_OUTLINE, wheels, USUAL_RIMS_M, ACTIONS.points)
+        oracle = oracle_of(grid, wheels=wheels)
         away_m = edge_m + np.arange(0.44, 0.64, 0.01)
         found = [oracle.danger(plant(20.0, y_m, DOWN), Joystick(1.0, 0.0), ()) for y_m in away_m]
         least_m.append(away_m[found.index(False)] - edge_m)
@@ -106,16 +118,16 @@ def test_a_chair_that_stands_on_both_sides_of_a_kerb_may_drive_along_it():
 
 def test_safe_actions_in_front_of_a_wall():
     safe = safe_actions(plant(60.0, 7.4, UP, 0.5), ())
-    assert not safe[ACTIONS.nearest((0.0, 1.0))]
-    assert safe[ACTIONS.nearest((0.0, 0.0))]
-    assert safe[ACTIONS.nearest((0.0, -0.5))]
+    assert not safe[ON]
+    assert safe[STAY]
+    assert safe[BACK]
     assert safe.shape == (81,) and safe.dtype == np.bool_
 
 
 def test_a_thin_pole_is_solid():
     assert danger(22.8, 6.7, 0.0, 1.3)
     assert not danger(22.8, 5.9, 0.0, 1.3)
-    assert danger(25.6, 6.7, 0.0, 0.0, Joystick(0.0, -1.0))  # behind
+    assert danger(25.6, 6.7, 0.0, 0.0, BACKWARDS)  # behind
 
 
 @pytest.mark.parametrize(
@@ -147,52 +159,52 @@ def test_ramps_and_crossing_are_free():
 
 def test_moving_others():
     def cyclist(x, y=5.5, yaw=math.pi, v=5.0):
-        return (actor(ActorKind.BICYCLE, x, y, yaw, v),)
+        return actor(ActorKind.BICYCLE, x, y, yaw, v)
 
-    assert danger(5.0, 5.5, 0.0, 1.3, FORWARD, cyclist(13.0))
-    assert not danger(5.0, 5.5, 0.0, 1.3, FORWARD, cyclist(25.0))
-    assert not danger(5.0, 5.5, 0.0, 1.3, FORWARD, cyclist(13.0, yaw=0.0))  # drives away
-    assert danger(5.0, 5.5, 0.0, 1.3, FORWARD, cyclist(7.0, 1.5, UP, 4.0))  # from the side
-    assert not danger(5.0, 5.5, 0.0, 0.0, STOP, cyclist(8.0, 1.5, UP, 4.0))  # passes before a standing chair
-    safe = safe_actions(plant(5.0, 5.5, 0.0, 1.0), cyclist(7.3, 2.3, UP, 3.0))
-    assert safe[ACTIONS.nearest((0.0, 0.0))] and not safe[ACTIONS.nearest((0.0, 1.0))]
+    assert meets(cyclist(13.0))
+    assert not meets(cyclist(25.0))
+    assert not meets(cyclist(13.0, yaw=0.0))  # drives away
+    assert meets(cyclist(7.0, 1.5, UP, 4.0))  # from the side
+    assert not meets(cyclist(8.0, 1.5, UP, 4.0), v=0.0, stick=STOP)  # passes before a standing chair
+    safe = safe_actions(plant(5.0, 5.5, 0.0, 1.0), (cyclist(7.3, 2.3, UP, 3.0),))
+    assert safe[STAY] and not safe[ON]
 
 
 def test_following_a_walker_is_no_danger_and_a_standing_one_is():
-    assert not danger(5.0, 5.5, 0.0, 1.2, Joystick(0.0, 0.72), (actor(ActorKind.PEDESTRIAN, 7.0, 5.5, 0.0, 1.3),))
-    assert danger(5.0, 5.5, 0.0, 1.2, Joystick(0.0, 0.72), (actor(ActorKind.PEDESTRIAN, 6.7, 5.5),))
+    for other, expected in ((walker(7.0, 5.5, 0.0, 1.3), False), (walker(6.7, 5.5), True)):
+        assert meets(other, v=1.2, stick=Joystick(0.0, 0.72)) is expected
 
 
 def test_passing_somebody_at_arms_length_is_free():
     beside = 5.5 + 0.31 + 0.25 + 0.12
-    assert not danger(5.0, 5.5, 0.0, 1.3, FORWARD, (actor(ActorKind.PEDESTRIAN, 7.0, beside),))
-    assert danger(5.0, 5.5, 0.0, 1.3, FORWARD, (actor(ActorKind.PEDESTRIAN, 7.0, beside - 0.1),))
+    assert not meets(walker(7.0, beside))
+    assert meets(walker(7.0, beside - 0.1))
 
 
 def test_an_actor_on_a_bridge_is_elsewhere():
-    above = actor(ActorKind.CAR, 7.0, 5.5)
+    above = car(7.0, 5.5)
     above.p_W_m[2] = 6.0
-    assert not danger(5.0, 5.5, 0.0, 1.3, FORWARD, (above,))
+    assert not meets(above)
 
 
 def test_who_touches_already_may_leave():
     near = plant(60.0, 9.0 - 0.8 - 0.02, UP)  # the footplate 2 cm from the wall
     safe = safe_actions(near, ())
-    assert safe[ACTIONS.nearest((0.0, -0.5))] and not safe[ACTIONS.nearest((0.0, 1.0))]
+    assert safe[BACK] and not safe[ON]
 
 
 def test_clearance():
     assert clearance(plant(60.0, 7.2, UP), ()) == pytest.approx(1.0, abs=0.1)
-    person = actor(ActorKind.PEDESTRIAN, 5.0 + 0.8 + 0.25 + 0.7, 5.5)
+    person = walker(5.0 + 0.8 + 0.25 + 0.7, 5.5)
     assert clearance(plant(5.0, 5.5, 0.0), (person,)) == pytest.approx(0.7)
     corner = actor(ActorKind.BICYCLE, 5.8 + 0.9 + 0.3, 5.81 + 0.325 + 0.4)
     assert clearance(plant(5.0, 5.5, 0.0), (corner,)) == pytest.approx(0.5)
-    assert clearance(plant(5.0, 5.5, 0.0), (actor(ActorKind.CAR, 6.0, 5.5),)) == 0.0
+    assert clearance(plant(5.0, 5.5, 0.0), (car(6.0, 5.5),)) == 0.0
     assert clearance(plant(-15.0, 5.5, 0.0), ()) > 20.0
 
 
 def test_the_quick_question_has_the_same_answer():
-    state, others = plant(21.0, 6.4, 0.1, 1.3), (actor(ActorKind.PEDESTRIAN, 24.0, 5.4, math.pi, 1.2),)
+    state, others = plant(21.0, 6.4, 0.1, 1.3), (walker(24.0, 5.4, math.pi, 1.2),)
     assert ORACLE.assess(state, FORWARD, others).danger == ORACLE.danger(state, FORWARD, others)
 
 
@@ -221,8 +233,7 @@ def test_crossing_a_road_on_its_ramps_is_free():
 
 def test_mirrored_streets_give_mirrored_answers():
     """On the open crossing the answer for (x, y) and (-x, y) is the same."""
-    person = (actor(ActorKind.PEDESTRIAN, 40.0, -1.0),)
-    safe = safe_actions(plant(40.0, 1.5, DOWN, 1.0), person)
+    safe = safe_actions(plant(40.0, 1.5, DOWN, 1.0), (walker(40.0, -1.0),))
     np.testing.assert_array_equal(safe, safe[ACTIONS.mirror])
 
 
@@ -234,17 +245,14 @@ def test_shaping_is_the_drives():
 
 def test_the_oracle_is_quick():
     rng = np.random.default_rng(0)
-    people = [
-        actor(ActorKind.PEDESTRIAN, *rng.uniform((0, 2), (10, 9)), float(rng.uniform(-3, 3)), 1.2, str(i))
-        for i in range(20)
-    ]
+    people = [walker(*rng.uniform((0, 2), (10, 9)), float(rng.uniform(-3, 3)), 1.2, str(i)) for i in range(20)]
     state = plant(23.0, 6.2, 0.2, 1.3)
     assert multiple(lambda: ORACLE.assess(state, FORWARD, people)) < 40  # about 7
 
 
 def test_a_wider_and_longer_chair_has_less_room():
     outline = replace(USUAL_OUTLINE, width_m=0.9, length_m=1.4)
-    large = CrashOracle(STREET.grid, ChairConfig(), outline, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
+    large = oracle_of(outline=outline)
     beside_the_house, beside_the_pole = plant(60.0, 8.4, 0.0, 0.0), plant(22.8, 6.2, 0.0, 1.3)
     lost_m = clearance(beside_the_house, ()) - large.assess(beside_the_house, STOP, ()).clearance_m
     assert lost_m == pytest.approx(0.14, abs=0.06)
@@ -255,11 +263,10 @@ def test_a_wider_and_longer_chair_has_less_room():
 def test_casters_behind_feel_kerbs_too():
     behind = np.concatenate([USUAL_WHEELS_M, [(-0.40, 0.25, 0.0), (-0.40, -0.25, 0.0)]])
     outline = replace(USUAL_OUTLINE, middle_x_m=0.0)
-    mid = CrashOracle(STREET.grid, ChairConfig(), outline, behind, np.zeros((0, 3)), ACTIONS.points)  # a high frame
-    backwards = Joystick(0.0, -1.0)
+    mid = oracle_of(outline=outline, wheels=behind, rims=np.zeros((0, 3)))  # a high frame
     above_the_kerb = plant(15.0, 4.55, UP, 0.0)  # the road is behind
-    assert not ORACLE.danger(above_the_kerb, backwards, ())
-    assert mid.danger(above_the_kerb, backwards, ())
+    assert not ORACLE.danger(above_the_kerb, BACKWARDS, ())
+    assert mid.danger(above_the_kerb, BACKWARDS, ())
 
 
 def test_the_footplate_meets_a_kerb_before_any_wheel_does():
@@ -269,11 +276,11 @@ def test_the_footplate_meets_a_kerb_before_any_wheel_does():
     assert not danger(40.0, 4.0 - 0.8 - 0.05, UP, 0.0, creeping)  # where the kerb is lowered it passes over
     over = plant(15.0, 4.0 - 0.7, UP)  # one that stands over the kerb may leave
     safe = safe_actions(over, ())
-    assert safe[ACTIONS.nearest((0.0, 0.0))] and safe[ACTIONS.nearest((0.0, -0.5))]
+    assert safe[STAY] and safe[BACK]
 
 
 def test_a_kerb_behind_stops_the_wheels_and_is_no_danger():
-    assert not danger(15.0, 3.2, DOWN, 0.0, Joystick(0.0, -1.0))
+    assert not danger(15.0, 3.2, DOWN, 0.0, BACKWARDS)
 
 
 def test_a_wheel_that_hangs_over_an_edge_is_falling_whatever_the_stick_says():
@@ -305,7 +312,7 @@ def test_waiting_commands_are_driven_before_any_other():
     once = ORACLE.assess(far, FORWARD, (), (STOP,) * 10)
     at_rest = ORACLE.assess(plant(60.0, 5.0 + 0.3, UP), FORWARD, ())
     assert once.danger == at_rest.danger
-    assert np.isinf(once.first_s[ACTIONS.nearest((0.0, 0.0))])
+    assert np.isinf(once.first_s[STAY])
 
 
 def test_seconds_count_from_now():
@@ -319,28 +326,24 @@ def test_seconds_count_from_now():
 
 @pytest.mark.parametrize("tick_s, steps", [(0.1, 4), (0.05, 2), (0.02, 1), (0.25, 10)])
 def test_a_waiting_command_lasts_a_tick(tick_s, steps):
-    oracle = CrashOracle(
-        STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points, tick_s
-    )
-    rolled = oracle._steps((FORWARD, STOP))
+    rolled = oracle_of(tick_s=tick_s)._steps((FORWARD, STOP))
     assert rolled.shape == (steps, 2)
     assert (rolled[: (steps + 1) // 2, 1] > 0.5).all() and (rolled[(steps + 1) // 2 :] == 0.0).all()
 
 
 def test_others_come_nearer_while_commands_wait():
     """A car that reaches the chair only after three seconds of waiting is among those that are looked at."""
-    standing, car = plant(40.0, 0.0, UP), (actor(ActorKind.CAR, 40.0 - 36.0, 0.0, 0.0, 11.0),)
-    assert not ORACLE.assess(standing, STOP, car).danger
-    late = ORACLE.assess(standing, STOP, car, (Joystick(1.0, 0.0),) * 10 + (Joystick(-1.0, 0.0),) * 20)
+    standing, others = plant(40.0, 0.0, UP), (car(40.0 - 36.0, 0.0, 0.0, 11.0),)
+    assert not ORACLE.assess(standing, STOP, others).danger
+    late = ORACLE.assess(standing, STOP, others, (Joystick(1.0, 0.0),) * 10 + (Joystick(-1.0, 0.0),) * 20)
     assert late.danger and 2.5 < late.first_s.max() < 3.5
 
 
 def test_a_long_wait_leaves_as_long_a_look_at_what_comes_after_it():
     """Somebody stands where the chair, told to stop after 3.8 s, comes to rest."""
     chair = plant(5.0, 5.5, 0.0, 1.25)
-    stood = [actor(ActorKind.PEDESTRIAN, 5.0 + ahead_m, 5.5) for ahead_m in np.arange(4.0, 9.0, 0.05)]
-    rest = ACTIONS.nearest((0.0, 0.0))
-    fails_s = [ORACLE.assess(chair, STOP, (one,), (FORWARD,) * 38).first_s[rest] for one in stood]
+    stood = [walker(5.0 + ahead_m, 5.5) for ahead_m in np.arange(4.0, 9.0, 0.05)]
+    fails_s = [ORACLE.assess(chair, STOP, (one,), (FORWARD,) * 38).first_s[STAY] for one in stood]
     reached_s = [later_s for later_s in fails_s if np.isfinite(later_s)]
     assert max(reached_s) > 4.2 and len(reached_s) < len(fails_s)
     assert reached_s == sorted(reached_s)
@@ -378,8 +381,8 @@ def test_who_is_in_a_wall_by_the_raster_gets_no_deeper_and_may_leave(deep_m):
         chair = Chair(x=60.0, y=0.0, yaw=yaw)
         chair.y = deep_m - overlap_m(chair)
         safe = safe_actions(chair.plant(), ())
-        assert safe[ACTIONS.nearest((0.0, 0.0))]
-        assert safe[ACTIONS.nearest((0.0, -0.5))]
+        assert safe[STAY]
+        assert safe[BACK]
         for _ in range(50):
             safe = safe_actions(chair.plant(), ())
             inwards = Joystick(0.0, 0.25) if yaw == UP else Joystick(-0.25, 0.25)
@@ -388,8 +391,8 @@ def test_who_is_in_a_wall_by_the_raster_gets_no_deeper_and_may_leave(deep_m):
 
 
 def test_asked_once_more_it_says_what_it_would_say_of_those_alone():
-    ahead, behind = actor(ActorKind.PEDESTRIAN, 7.2, 5.5), actor(ActorKind.PEDESTRIAN, 4.1, 5.5, name="b")
-    far = actor(ActorKind.CAR, 60.0, 0.0, name="far")
+    ahead, behind = walker(7.2, 5.5), walker(4.1, 5.5, name="b")
+    far = car(60.0, 0.0, name="far")
     state = plant(5.0, 5.5, 0.0, 0.8)
     for known in ((), (ahead,), (behind,), (ahead, behind), (far,), (ahead, behind, far)):
         said = ORACLE.assess(state, FORWARD, (ahead, behind, far), LATE, known)
@@ -398,11 +401,6 @@ def test_asked_once_more_it_says_what_it_would_say_of_those_alone():
         assert said.visible.danger == alone.danger
         np.testing.assert_array_equal(said.visible.first_s, alone.first_s)
         np.testing.assert_array_equal(said.first_s, ORACLE.assess(state, FORWARD, (ahead, behind), LATE).first_s)
-
-
-SOFT = CrashOracle(
-    STREET.grid, ChairConfig(decel_mps2=0.3), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points
-)
 
 
 def test_who_brakes_softly_is_in_danger_from_as_far_as_it_rolls():
@@ -414,5 +412,5 @@ def test_who_brakes_softly_is_in_danger_from_as_far_as_it_rolls():
 
 def test_a_car_that_comes_while_a_soft_brake_still_slows_the_chair_down_is_seen():
     here, full = plant(0.0, 5.5, 0.0, 1.67), Joystick(0.0, 1.0)
-    car = actor(ActorKind.CAR, 5.4 + 0.8, 5.5 + 45.0, -math.pi / 2, v=9.0)  # it crosses the way in 5 s
-    assert SOFT.danger(here, full, (car,)) and not ORACLE.danger(here, full, (car,))
+    others = (car(5.4 + 0.8, 5.5 + 45.0, DOWN, v=9.0),)  # it crosses the way in 5 s
+    assert SOFT.danger(here, full, others) and not ORACLE.danger(here, full, others)

@@ -9,15 +9,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.supervisor.test_oracle import ACTIONS, FORWARD, ORACLE, STOP
+from tests.supervisor.test_oracle import ACTIONS, FORWARD, ORACLE, STAY, STOP
 from tests.support.samples import USUAL_OUTLINE
-from tests.users.actors import actor
+from tests.users.actors import walker
 from tests.users.kinematics import TICK_S, Chair, plant
-from wcsim.types import ActorKind, ActorState, Joystick
+from wcsim.types import ActorState, Joystick
 
 Y_M = 5.5  # the middle of the pavement
 RADIUS_M, FRONT_M = 0.23, 0.8
-PERSON = replace(actor(ActorKind.PEDESTRIAN, 0.0, 0.0), size_lwh_m=(0.26, 2.0 * RADIUS_M, 1.7))
+TOUCH_M = 5.0 + FRONT_M + RADIUS_M
+"""Where somebody stands who touches the front of a chair at 5 m."""
+PERSON = replace(walker(0.0, 0.0), size_lwh_m=(0.26, 2.0 * RADIUS_M, 1.7))
 
 Path = Callable[[float], tuple[float, float]]
 
@@ -41,16 +43,16 @@ def drive_late(chair: Chair, waiting: deque[Joystick], best, distances) -> None:
     waiting.popleft()
 
 
-def met_at_mps(chair: Chair, wish: Joystick, path: Path, own_line_y_m: float, longest_s: float = 8.0) -> float:
+def met_at_mps(chair: Chair, *places: tuple[float, float, float]) -> float:
     """How fast the oracle's chair, which obeys two ticks late, is when its front touches somebody, else 0."""
-    waiting = deque([wish, wish])
-    for tick in range(round(longest_s / TICK_S)):
+    waiting, path = deque([FORWARD, FORWARD]), along(*places)
+    for tick in range(round(8.0 / TICK_S)):
         (x0, y0), (x, y) = path((tick - 1) * TICK_S), path(tick * TICK_S)
         if gap_m(chair, x, y) <= 0.0:
             return chair.v if x > chair.x + FRONT_M else 0.0
-        other = person(x, y, math.pi, ((x - x0) / TICK_S, (y - y0) / TICK_S), own_line_y_m - y)
-        said = ORACLE.assess(chair.plant(), wish, (other,), tuple(waiting), accel_mps2=chair.a)
-        distances = np.hypot(*(ACTIONS.points - np.array((wish.x, wish.y))).T)
+        other = person(x, y, math.pi, ((x - x0) / TICK_S, (y - y0) / TICK_S), Y_M - y)
+        said = ORACLE.assess(chair.plant(), FORWARD, (other,), tuple(waiting), accel_mps2=chair.a)
+        distances = np.hypot(*(ACTIONS.points - (FORWARD.x, FORWARD.y)).T)
         straight = np.where(ACTIONS.points[:, 0] == 0.0, distances, 9.0)
         best = said.first_s == said.first_s[ACTIONS.points[:, 0] == 0.0].max()
         drive_late(chair, waiting, best, straight)
@@ -74,24 +76,22 @@ def along(*places: tuple[float, float, float]) -> Path:
 def test_who_has_stepped_aside_may_step_back(at_m):
     """Somebody comes, steps out of the chair's way, stands, and goes back to the own line."""
     chair = Chair(x=5.0, y=Y_M, v=1.1)
-    far = 5.0 + FRONT_M + RADIUS_M + at_m
-    path = along(
-        (-0.1, far + 0.13, Y_M - 0.08), (1.0, far - 1.3, Y_M + 0.8), (1.1, far - 1.3, Y_M + 0.8), (2.1, far - 1.3, Y_M)
-    )
-    assert met_at_mps(chair, FORWARD, path, Y_M) <= 0.05
+    far = TOUCH_M + at_m
+    near, out_m = far - 1.3, Y_M + 0.8
+    path = (-0.1, far + 0.13, Y_M - 0.08), (1.0, near, out_m), (1.1, near, out_m), (2.1, near, Y_M)
+    assert met_at_mps(chair, *path) <= 0.05
 
 
 @pytest.mark.parametrize("at_m", [1.4, 1.8, 2.2, 2.6])
 def test_who_crosses_may_stop_in_the_way(at_m):
     chair = Chair(x=5.0, y=Y_M, v=1.1)
-    x = 5.0 + FRONT_M + RADIUS_M + at_m
-    path = along((-0.1, x, Y_M - 0.8), (0.7, x, Y_M), (9.0, x, Y_M))
-    assert met_at_mps(chair, FORWARD, path, Y_M) <= 0.05
+    x = TOUCH_M + at_m
+    assert met_at_mps(chair, (-0.1, x, Y_M - 0.8), (0.7, x, Y_M), (9.0, x, Y_M)) <= 0.05
 
 
 def test_who_ends_a_step_aside_walks_on_along_the_own_line():
     """Its velocity of the moment, half of it sideways, would lead it past; its heading leads it before the chair."""
-    coming = person(5.0 + FRONT_M + RADIUS_M + 1.9, Y_M - 0.35, math.pi, (-1.3, -0.8))
+    coming = person(TOUCH_M + 1.9, Y_M - 0.35, math.pi, (-1.3, -0.8))
     assert ORACLE.danger(plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 1.0), (coming,))
     away = replace(coming, p_W_m=np.array([coming.p_W_m[0], Y_M - 0.8, 0.0]))
     assert not ORACLE.danger(plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 1.0), (away,))
@@ -102,7 +102,7 @@ def test_who_ends_a_step_aside_walks_on_along_the_own_line():
 def test_who_stands_aside_may_step_back_before_the_chair(yaw, side):
     """To the own line, that is, and no further."""
     aside_m = side * (0.5 * USUAL_OUTLINE.width_m + RADIUS_M + 0.15)
-    there = person(5.0 + FRONT_M + RADIUS_M + 0.9, Y_M + aside_m, yaw)
+    there = person(TOUCH_M + 0.9, Y_M + aside_m, yaw)
     fast = plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 0.8)
     left_m = aside_m * math.cos(yaw)
     assert not ORACLE.danger(*fast, (there,))
@@ -138,7 +138,7 @@ def test_who_comes_does_not_drive_the_chair_into_a_wall(room_m):
 def test_a_person_is_round():
     """A body turns no thin side to the chair: it is as far away whichever way it looks."""
     for yaw in (0.0, 0.5 * math.pi, 1.0):
-        other = person(5.0 + FRONT_M + RADIUS_M + 0.3, Y_M, yaw)
+        other = person(TOUCH_M + 0.3, Y_M, yaw)
         assert ORACLE.assess(plant(5.0, Y_M, 0.0), STOP, (other,)).clearance_m == pytest.approx(0.3)
     corner = person(5.0 + FRONT_M + 0.3, Y_M + 0.5 * USUAL_OUTLINE.width_m + 0.4, 0.3)
     assert ORACLE.assess(plant(5.0, Y_M, 0.0), STOP, (corner,)).clearance_m == pytest.approx(0.5 - RADIUS_M)
@@ -147,8 +147,8 @@ def test_a_person_is_round():
 @pytest.mark.parametrize("gap", [0.2, 0.25, 0.3, 0.4, 0.6])
 def test_a_slow_chair_does_not_nudge_who_stands(gap):
     chair = Chair(x=5.0, y=Y_M)
-    x = 5.0 + FRONT_M + RADIUS_M + gap
-    assert met_at_mps(chair, FORWARD, along((-0.1, x, Y_M), (9.0, x, Y_M)), Y_M) == 0.0
+    x = TOUCH_M + gap
+    assert met_at_mps(chair, (-0.1, x, Y_M), (9.0, x, Y_M)) == 0.0
     assert gap_m(chair, x, Y_M) > 0.0
 
 
@@ -166,9 +166,9 @@ def test_a_chair_that_speeds_up_needs_more_room(accel):
 
 
 def test_who_walks_up_to_a_chair_that_stands_is_no_danger():
-    coming = person(5.0 + FRONT_M + RADIUS_M + 0.6, Y_M, math.pi, (-1.3, 0.0))
+    coming = person(TOUCH_M + 0.6, Y_M, math.pi, (-1.3, 0.0))
     said = ORACLE.assess(plant(5.0, Y_M, 0.0), STOP, (coming,))
-    assert not said.danger and said.first_s[ACTIONS.nearest((0.0, 0.0))] == math.inf
+    assert not said.danger and said.first_s[STAY] == math.inf
     assert np.isfinite(said.first_s[ACTIONS.nearest((0.0, 0.5))])
     behind = person(5.0 - 0.3 - RADIUS_M - 0.4, Y_M, 0.0, (1.6, 0.0))
     assert not ORACLE.danger(plant(5.0, Y_M, 0.0, 0.6), Joystick(0.0, 0.4), (behind,))

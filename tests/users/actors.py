@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -20,6 +21,10 @@ USUAL_WHEELS_M = np.column_stack([plant_spec(ChairConfig()).stand_m(), plant_spe
 
 def actor(kind: ActorKind, x: float, y: float, yaw: float = 0.0, v: float = 0.0, name: str = "a") -> ActorState:
     return actors.actor(kind, x, y, yaw, v, name)
+
+
+walker = partial(actor, ActorKind.PEDESTRIAN)
+car = partial(actor, ActorKind.CAR)
 
 
 def make_user(name: str = "competent", seed: int = 0, street: Street | None = None, **changes: float) -> SimulatedUser:

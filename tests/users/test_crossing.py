@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.samples import strip_street, strip_walk
-from tests.users.actors import actor, make_user, user_view
+from tests.support.samples import USUAL_OUTLINE, strip_street, strip_walk
+from tests.users.actors import actor, car, make_user, user_view
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.core.seeding import make_rng
 from wcsim.types import ActorKind, Route, SignalState, Street, WalkGraph
@@ -22,11 +22,11 @@ def walk(tls_id="", links=()) -> WalkGraph:
     return replace(plain, edges=(*plain.edges[:4], replace(plain.edges[4], tls_id=tls_id, tls_links=links)))
 
 
-def over_the_road(street_y=4.0) -> Route:
+def over_the_road() -> Route:
     """Along the north pavement, over the crossing at x = 40, along the south pavement."""
-    bare = polyline((30, 5.5), (40, 5.5), (40, street_y), (40, -street_y), (40, -5.5), (50, -5.5))
+    bare = polyline((30, 5.5), (40, 5.5), (40, 4), (40, -4), (40, -5.5), (50, -5.5))
     x, y = bare.points_W_m.T
-    on_road = (x == 40) & (y <= street_y) & (y > -street_y)
+    on_road = (x == 40) & (y <= 4) & (y > -4)
     return replace(bare, edge_index=np.where(on_road, 4, np.where(y > 0, 0, 3)).astype(np.int32))
 
 
@@ -36,6 +36,24 @@ def lit(street: Street) -> Street:
 
 ROUTE = over_the_road()
 (ROAD,) = find_route_crossings(ROUTE, walk("t", (1, 2)))
+
+
+def stops(found=(ROAD,), route=ROUTE, ground=None, law_share=1.0, seed=0) -> CrossingStopPlanner:
+    rng = make_rng(seed, "user")
+    return CrossingStopPlanner(found, RoutePolyline(route), ground, law_share, rng, USUAL_OUTLINE.half_lw_m[0])
+
+
+def crossed(
+    signals=lambda t: (), others=lambda t: (), street=STREET, name="competent", seed=0, seconds=60.0, **changes
+):
+    """A drive over the road while others come and go; and (time, y of the chair's middle) each tick."""
+    user = make_user(name, seed, street, **{"see_share": 1.0, "law_share": 1.0, **changes})
+    sim, log = Sim(user, ROUTE, Chair(x=32.0, y=5.5)), []
+    while sim.goes_on(seconds):
+        sim.actors, sim.signals = others(sim.time_s), signals(sim.time_s)
+        sim.tick()
+        log.append((sim.time_s, sim.track.xy[-1][1]))
+    return sim, np.array(log)
 
 
 def test_the_crossing_is_found_where_it_is():
@@ -65,16 +83,16 @@ def test_without_a_light_nothing_is_red():
 @pytest.mark.parametrize(
     "vehicle, conflict",
     [
-        (actor(ActorKind.CAR, 20.0, -2.0, v=10.0), True),  # on it in 1.5 s
-        (actor(ActorKind.CAR, 0.0, 2.0, v=10.0), True),  # in 3.5 s, when the chair is in that lane
-        (actor(ActorKind.CAR, -35.0, 2.0, v=10.0), False),  # in 7 s, when the chair has left it
-        (actor(ActorKind.CAR, -20.0, -2.0, v=10.0), True),  # in 5.5 s, when the chair is in the far lane
-        (actor(ActorKind.CAR, -110.0, -2.0, v=10.0), False),  # in 14.5 s
-        (actor(ActorKind.CAR, 50.0, -2.0, v=10.0), False),  # has passed
-        (actor(ActorKind.CAR, 60.0, 2.0, yaw=math.pi, v=10.0), True),
-        (actor(ActorKind.CAR, 30.0, -2.0, v=0.0), False),  # stands
-        (actor(ActorKind.CAR, 20.0, 12.0, v=10.0), False),  # another road
-        (actor(ActorKind.CAR, 40.0, 0.0, v=8.0), True),  # is on it
+        (car(20.0, -2.0, v=10.0), True),  # on it in 1.5 s
+        (car(0.0, 2.0, v=10.0), True),  # in 3.5 s, when the chair is in that lane
+        (car(-35.0, 2.0, v=10.0), False),  # in 7 s, when the chair has left it
+        (car(-20.0, -2.0, v=10.0), True),  # in 5.5 s, when the chair is in the far lane
+        (car(-110.0, -2.0, v=10.0), False),  # in 14.5 s
+        (car(50.0, -2.0, v=10.0), False),  # has passed
+        (car(60.0, 2.0, yaw=math.pi, v=10.0), True),
+        (car(30.0, -2.0, v=0.0), False),  # stands
+        (car(20.0, 12.0, v=10.0), False),  # another road
+        (car(40.0, 0.0, v=8.0), True),  # is on it
     ],
 )
 def test_vehicles(vehicle, conflict):
@@ -83,11 +101,11 @@ def test_vehicles(vehicle, conflict):
 
 @pytest.mark.parametrize("colours, from_m, waits", [("rGGr", 28.0, False), ("rGGr", 22.0, True), ("oooo", 28.0, True)])
 def test_at_green_those_far_away_have_red_and_are_not_waited_for(colours, from_m, waits):
-    here = CrossingStopPlanner((ROAD,), RoutePolyline(ROUTE), None, 1.0, make_rng(0, "user"), 0.57)
+    here = stops()
     red, now = (SignalState(tls_id="t", colours="GrrG"),), (SignalState(tls_id="t", colours=colours),)
     assert here.stop_m(10.6, 59.9, red, ()) is not None
-    car = actor(ActorKind.CAR, 40.0 - from_m, -2.0, v=10.0)
-    assert (here.stop_m(10.6, 60.0, now, (car,)) is not None) == waits
+    coming = car(40.0 - from_m, -2.0, v=10.0)
+    assert (here.stop_m(10.6, 60.0, now, (coming,)) is not None) == waits
 
 
 def test_whether_a_light_is_obeyed_is_independent_of_the_way_to_it():
@@ -112,9 +130,7 @@ def test_whether_a_light_is_obeyed_is_independent_of_the_way_to_it():
 def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_reached():
     far = replace(ROAD, start_m=60.0, end_m=68.0)
     for seed in range(12):
-        both, one = (
-            CrossingStopPlanner((ROAD, far), RoutePolyline(ROUTE), None, 0.5, make_rng(seed), 0.57) for _ in range(2)
-        )
+        both, one = (stops((ROAD, far), law_share=0.5, seed=seed) for _ in range(2))
         for here, places_m in ((both, (10.6, 59.0)), (one, (59.0,))):
             for arc_m in places_m:
                 here.stop_m(arc_m, 1.0, (), ())
@@ -138,21 +154,8 @@ def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_reached():
     ],
 )
 def test_riders_on_the_road_are_waited_for(kind, x, y, yaw, v, waits):
-    here = CrossingStopPlanner(
-        find_route_crossings(ROUTE, walk()), RoutePolyline(ROUTE), STREET.grid, 1.0, make_rng(0, "user"), 0.57
-    )
+    here = stops(find_route_crossings(ROUTE, walk()), ground=STREET.grid)
     assert (here.stop_m(10.6, 1.0, (), (actor(kind, x, y, yaw, v),)) is not None) == waits
-
-
-def crossed(riders, seconds=60.0, **changes):
-    """Who crosses without a light while others ride; and (time, y of the chair's middle) each tick."""
-    user = make_user("competent", 0, STREET, **{"see_share": 1.0, "law_share": 1.0, **changes})
-    sim, log = Sim(user, ROUTE, Chair(x=32.0, y=5.5)), []
-    while sim.goes_on(seconds):
-        sim.actors = riders(sim.time_s)
-        sim.tick()
-        log.append((sim.time_s, sim.track.xy[-1][1]))
-    return user, np.array(log)
 
 
 def row(t, y, v, from_m):
@@ -163,8 +166,8 @@ def row(t, y, v, from_m):
 @pytest.mark.parametrize("from_m", [-28.0, -31.0])
 def test_lets_a_cyclist_pass_that_would_get_too_near(from_m):
     def away_s(law_share):
-        user, log = crossed(lambda t: row(t, -2.0, 4.0, (from_m,)), law_share=law_share)
-        assert user.arrived
+        sim, log = crossed(others=lambda t: row(t, -2.0, 4.0, (from_m,)), law_share=law_share)
+        assert sim.user.arrived
         return np.abs(log[np.abs(log[:, 1] + 2.0) < 0.57 + 0.4, 0] - (40.0 - from_m) / 4.0).min()
 
     assert away_s(1.0) > 1.5 > away_s(0.0)
@@ -187,7 +190,7 @@ def test_lets_a_cyclist_pass_that_would_get_too_near(from_m):
 )
 def test_no_user_waits_for_riders_that_are_no_traffic(riders):
     """Who keeps to the law drives as who does not: what is left is going around."""
-    user, log = crossed(riders)
-    heedless, as_if_alone = crossed(riders, law_share=0.0)
-    assert user.arrived and heedless.arrived
+    sim, log = crossed(others=riders)
+    heedless, as_if_alone = crossed(others=riders, law_share=0.0)
+    assert sim.user.arrived and heedless.user.arrived
     assert np.array_equal(log, as_if_alone)

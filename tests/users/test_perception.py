@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.users.actors import actor, user_view
+from tests.users.actors import actor, car, user_view, walker
 from tests.users.kinematics import polyline
 from wcsim.core.seeding import make_rng
 from wcsim.types import ActorKind
@@ -43,14 +43,14 @@ def test_what_was_missed_stays_missed_and_what_was_seen_stays_seen():
         ({"obstacles": [(7.0, 0.0, 0.1)]}, False),
         ({"obstacles": [(-4.0, 0.0, 0.1)]}, False),
         ({"obstacles": [(-4.0, 0.0, 0.1)], "pose": (0.0, 0.0, math.pi)}, True),
-        ({"actors": [actor(ActorKind.PEDESTRIAN, 8.5, 0.0)]}, True),
-        ({"actors": [actor(ActorKind.PEDESTRIAN, 11.0, 0.0)]}, False),
+        ({"actors": [walker(8.5, 0.0)]}, True),
+        ({"actors": [walker(11.0, 0.0)]}, False),
         ({"actors": [actor(ActorKind.WHEELCHAIR, 5.0, 0.0)]}, True),
-        ({"actors": [actor(ActorKind.CAR, 20.0, 20.0, v=10.0)]}, True),
-        ({"actors": [actor(ActorKind.CAR, -20.0, 0.0, v=10.0)]}, True),
-        ({"actors": [actor(ActorKind.CAR, 43.5, 0.0, v=10.0)]}, True),
-        ({"actors": [actor(ActorKind.CAR, 45.0, 0.0, v=10.0)]}, False),
-        ({"actors": [actor(ActorKind.PEDESTRIAN, -4.0, 0.0)]}, False),
+        ({"actors": [car(20.0, 20.0, v=10.0)]}, True),
+        ({"actors": [car(-20.0, 0.0, v=10.0)]}, True),
+        ({"actors": [car(43.5, 0.0, v=10.0)]}, True),
+        ({"actors": [car(45.0, 0.0, v=10.0)]}, False),
+        ({"actors": [walker(-4.0, 0.0)]}, False),
     ],
 )
 def test_how_far_and_where_things_are_detected(what, expected):
@@ -84,7 +84,7 @@ def test_a_rider_near_by_is_avoided_as_people_are_and_detected_or_missed_as_both
 
 @pytest.mark.parametrize("ahead_m, near", [(24.0, True), (26.0, False)])
 def test_a_vehicle_far_away_is_watched_and_nothing_to_go_around_yet(ahead_m, near):
-    seen = look(actor(ActorKind.CAR, ahead_m, 0.0, v=9.0))
+    seen = look(car(ahead_m, 0.0, v=9.0))
     assert len(seen.vehicles) == 1 and bool(seen.things) == near
 
 
@@ -108,9 +108,9 @@ def test_attention_has_its_share_and_length():
 
 
 def test_a_long_box_becomes_a_row_of_discs_that_covers_it():
-    row = actor_to_discs(actor(ActorKind.CAR, 10.0, 5.0, yaw=math.pi / 2, v=2.0))
+    row = actor_to_discs(car(10.0, 5.0, yaw=math.pi / 2, v=2.0))
     assert len(row) == 3
     assert {thing.radius_m for thing in row} == {0.9}
     assert min(t.y_m for t in row) - 0.9 == pytest.approx(5.0 - 2.25)
     assert all(t.x_m == pytest.approx(10.0) and t.vy_mps == pytest.approx(2.0) for t in row)
-    assert len(actor_to_discs(actor(ActorKind.PEDESTRIAN, 0.0, 0.0))) == 1
+    assert len(actor_to_discs(walker(0.0, 0.0))) == 1

@@ -60,12 +60,17 @@ def test_a_user_that_turns_round_stays_on_the_pavement(y, yaw):
     assert abs(sim.chair.x - to_x) < 12.0
 
 
-@pytest.mark.parametrize("name", ["competent", "switch"])
-def test_a_user_that_hangs_on_something_backs_up_before_giving_up(name):
+def held(name: str) -> Sim:
+    """Somebody whose chair hangs on something after 4 s."""
     sim = Sim(make_user(name, street=STREET), polyline((0.0, 5.5), (40.0, 5.5)), Chair(x=5.0, y=5.5))
     sim.run(4.0)
     sim.frozen, sim.chair.v = True, 0.0
-    intents = []
+    return sim
+
+
+@pytest.mark.parametrize("name", ["competent", "switch"])
+def test_a_user_that_hangs_on_something_backs_up_before_giving_up(name):
+    sim, intents = held(name), []
     while not sim.user.gave_up and sim.time_s < 60.0:
         sim.tick()
         intents.append(sim.user.intent.y)
@@ -75,11 +80,8 @@ def test_a_user_that_hangs_on_something_backs_up_before_giving_up(name):
 
 @pytest.mark.parametrize("name", ["competent", "inattentive", "ataxic", "slow"])
 def test_a_user_whose_chair_stands_against_something_lets_go_for_a_while(name):
-    sim = Sim(make_user(name, street=STREET), polyline((0.0, 5.5), (40.0, 5.5)), Chair(x=5.0, y=5.5))
-    sim.run(4.0)
-    sim.frozen, sim.chair.v = True, 0.0
+    sim, sticks = held(name), []
     hand = sim.user.profile.reaction_s + sim.user.profile.lag_s
-    sticks = []
     for _ in range(60):
         sim.tick()
         intent = sim.user.intent

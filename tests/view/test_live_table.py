@@ -42,9 +42,14 @@ def state(elapsed_s=12.0, standing="running", seen=None, clients=None, **changed
     )
 
 
-def shown(what, terminal=True):
+def console(out):
+    """A terminal that is wide enough."""
+    return Console(markup=False, file=out, width=120, force_terminal=True, color_system=None)
+
+
+def shown(what):
     out = io.StringIO()
-    Console(markup=False, file=out, width=120, force_terminal=terminal, color_system=None).print(what)
+    console(out).print(what)
     return [line.strip() for line in out.getvalue().splitlines()]
 
 
@@ -113,8 +118,7 @@ def test_a_line_every_ten_seconds_where_there_is_no_terminal():
 
 def test_a_terminal_shows_the_newest_state():
     out = io.StringIO()
-    console = Console(markup=False, file=out, width=120, force_terminal=True, color_system=None)
-    with LiveTable(console) as table:
+    with LiveTable(console(out)) as table:
         table.show(state(seen=world(tick=70)))
         table.show(state(seen=world(tick=71)))
     assert "tick 70" in out.getvalue()
@@ -134,7 +138,7 @@ class Terminal(io.StringIO):
 
 def test_a_terminal_that_is_gone_ends_nothing_also_at_the_end():
     out, usual = Terminal(), sys.stdout
-    with LiveTable(Console(markup=False, file=out, width=120, force_terminal=True, color_system=None)) as table:
+    with LiveTable(console(out)) as table:
         table.show(state(seen=world(tick=70)))
         out.gone = True
         table.show(state(seen=world(tick=71)))

@@ -6,10 +6,11 @@ import pytest
 
 from tests.physics.renderer.render_oracle import actor
 from tests.support.one_process import files_of_at_most
+from tests.support.plants import plant_state
 from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
 from wcsim.core.files import write_file_atomically
 from wcsim.errors import ConfigError, DiskFullError
-from wcsim.physics.renderer.instances import ChairPose
+from wcsim.physics.renderer.instances import chair_pose
 from wcsim.supervisor.palette import COLOURS
 from wcsim.types import ActorKind, ClassId, Route
 from wcsim.view.filming import _triptych
@@ -115,8 +116,7 @@ def test_a_video_says_what_it_cannot_do(tmp_path):
 def test_the_map_is_true_to_scale_with_north_up():
     view = MapView(strip_street().mesh, size_px=400, span_m=40.0)  # 10 pixels a metre
     car = actor(ActorKind.CAR, 10.0, -2.0, 0.0, 0.0, size=(6.0, 2.0, 1.5))
-    q_WB = np.array([0.0, 0.0, 0.0, 1.0])
-    chair = ChairPose(seat=0, p_WB_m=np.array([4.0, 5.5, 0.12]), q_WB=q_WB, outline=USUAL_OUTLINE)
+    chair = chair_pose(0, plant_state(4.0, 5.5, 0.12), USUAL_OUTLINE)
     centre = np.array([10.0, 0.0, 0.0])
     empty = view.draw(centre, ()).astype(int)
     changed = np.abs(view.draw(centre, (car,)).astype(int) - empty).sum(axis=2) > 30

@@ -159,19 +159,22 @@ def test_where_nothing_stands_the_view_is_as_it_was_asked_for() -> None:
     assert _Arm(Wall(50.0, 0.0)).held(HERE, 1.0, asked, math.inf) == asked
 
 
+def held(wall: Wall) -> _Orbit:
+    return _Arm(wall).held(HERE, 0.0, _Orbit(), math.inf)
+
+
 def test_before_a_low_wall_the_camera_goes_over_it() -> None:
-    held = _Arm(Wall(1.0, math.radians(40.0))).held(HERE, 0.0, _Orbit(), math.inf)
-    assert held.tilt_rad > math.radians(40.0) and held.distance_m == _Orbit().distance_m
+    orbit = held(Wall(1.0, math.radians(40.0)))
+    assert orbit.tilt_rad > math.radians(40.0) and orbit.distance_m == _Orbit().distance_m
 
 
 @pytest.mark.parametrize("away_m", [4.5, 2.0])
 def test_where_walls_are_everywhere_it_comes_nearer(away_m: float) -> None:
-    held = _Arm(Wall(away_m, math.pi)).held(HERE, 0.0, _Orbit(), math.inf)
-    assert 1.0 < held.distance_m < away_m
+    assert 1.0 < held(Wall(away_m, math.pi)).distance_m < away_m
 
 
 def test_a_pole_does_not_move_it() -> None:
-    assert _Arm(Wall(1.0, math.pi, share=0.3)).held(HERE, 0.0, _Orbit(), math.inf) == _Orbit()
+    assert held(Wall(1.0, math.pi, share=0.3)) == _Orbit()
 
 
 def test_it_glides_and_comes_to_rest() -> None:

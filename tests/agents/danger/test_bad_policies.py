@@ -31,7 +31,7 @@ def saved(tmp_path: Path) -> Path:
 )
 def test_a_run_with_other_actions_classes_or_pictures_is_refused(saved: Path, setting: str, told: str):
     with pytest.raises(PolicyError, match=told):
-        load_danger(saved, "own", resolve(CONFIG, (setting,)))
+        load_danger(saved, "own", resolve(CONFIG, setting))
 
 
 @pytest.mark.parametrize(

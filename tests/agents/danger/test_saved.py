@@ -22,6 +22,11 @@ RULE = DangerRuleSettings(threshold=0.2, warn=0.6)
 OLD = {"eye": "map", "network": "patch", "window": 1}  # what older policy files have beside the shape
 
 
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "p"
+
+
 def saved(folder: Path, config: RunConfig) -> DangerNet:
     torch.manual_seed(3)
     net = channels_last(DangerNet(spec_of(config))).eval()
@@ -30,10 +35,10 @@ def saved(folder: Path, config: RunConfig) -> DangerNet:
 
 
 @pytest.mark.parametrize("words", [(), (TWO,)], ids=str)
-def test_a_network_comes_back_as_it_was_saved(tmp_path: Path, words: tuple[str, ...]):
+def test_a_network_comes_back_as_it_was_saved(folder: Path, words: tuple[str, ...]):
     config = small_config(*words)
-    net = saved(tmp_path / "p", config)
-    again, rule = load_net(tmp_path / "p")
+    net = saved(folder, config)
+    again, rule = load_net(folder)
     lessons = lectures(config, 8)
     batch = lessons.batch(all_of(lessons))
     assert all(getattr(again.spec, part) == value for part, value in net.spec) and rule == RULE
@@ -46,8 +51,7 @@ def reseal(folder: Path) -> None:
     (folder / POLICY_JSON).write_text(json.dumps(told))
 
 
-def test_weights_that_are_not_those_of_the_description_are_refused(tmp_path: Path):
-    folder = tmp_path / "p"
+def test_weights_that_are_not_those_of_the_description_are_refused(folder: Path):
     saved(folder, small_config())
     weights = load_file(folder / WEIGHTS)
     changed = {**weights, "base": weights["base"] + 1.0}
@@ -72,14 +76,14 @@ def test_weights_that_are_not_those_of_the_description_are_refused(tmp_path: Pat
         *((part, 7) for part in ("schema_version", "algorithm", "net", "rule", "weights_sha256")),
     ],
 )
-def test_a_description_out_of_bounds_is_refused(tmp_path: Path, key: str, value: object):
-    saved(tmp_path / "p", small_config())
-    path = tmp_path / "p" / POLICY_JSON
+def test_a_description_out_of_bounds_is_refused(folder: Path, key: str, value: object):
+    saved(folder, small_config())
+    path = folder / POLICY_JSON
     told = json.loads(path.read_text())
     (told if key in told else told["net"])[key] = value
     path.write_text(json.dumps(told))
     with pytest.raises(PolicyError, match=key):
-        load_net(tmp_path / "p")
+        load_net(folder)
 
 
 def with_net(folder: Path, **parts: object) -> None:
@@ -87,44 +91,44 @@ def with_net(folder: Path, **parts: object) -> None:
     (folder / POLICY_JSON).write_text(json.dumps({**told, "net": {**told["net"], **parts}}))
 
 
-def test_a_file_of_before_is_read_and_one_of_camera_pictures_refused(tmp_path: Path):
-    net = saved(tmp_path / "p", small_config())
-    with_net(tmp_path / "p", **OLD)
-    assert load_net(tmp_path / "p")[0].spec.net == net.spec.net
+def test_a_file_of_before_is_read_and_one_of_camera_pictures_refused(folder: Path):
+    net = saved(folder, small_config())
+    with_net(folder, **OLD)
+    assert load_net(folder)[0].spec.net == net.spec.net
     for eye in ("picture", "both"):
-        with_net(tmp_path / "p", **{**OLD, "eye": eye})
+        with_net(folder, **{**OLD, "eye": eye})
         with pytest.raises(PolicyError, match=rf"eye is '{eye}'.* expected 'map': train it again"):
-            load_net(tmp_path / "p")
+            load_net(folder)
         with pytest.raises(ConfigError, match=rf"eye is '{eye}'.* expected 'map': train it again"):
             small_config(f"danger.eye={eye}")
     assert small_config("danger.eye=map") == small_config()
 
 
-def test_several_cameras_are_those_of_the_training(tmp_path: Path):
+def test_several_cameras_are_those_of_the_training(tmp_path: Path, folder: Path):
     two, one = small_config(TWO), small_config()
-    saved(tmp_path / "p", two)
+    saved(folder, two)
     for config, told in (
         (one, r'2 cameras.* has 1; .*\["front", "rear"\]'),
         (resolve(two, "cameras.1.yaw_deg=90"), "yaw"),
     ):
         with pytest.raises(PolicyError, match=told):
-            load_danger(tmp_path / "p", "own", config)
+            load_danger(folder, "own", config)
     saved(tmp_path / "one", one)
     alone, beside = (load_danger(tmp_path / "one", "own", config) for config in (one, two))
     for tick in range(6):
         seen = observation(two, tick)
         assert beside.act(seen) == alone.act({key: seen[key] for key in observation(one)})
         assert np.array_equal(beside.features.picture, alone.features.picture)
-    settings = DANGER_ROUNDS.policy_settings(tmp_path / "p")
-    assert load_danger(tmp_path / "p", "own", resolve("quick", settings)).senses == ("odometry", "gyro")
+    settings = DANGER_ROUNDS.policy_settings(folder)
+    assert load_danger(folder, "own", resolve("quick", settings)).senses == ("odometry", "gyro")
     with pytest.raises(PolicyError, match="sees several cameras"):
-        DANGER_ROUNDS.require_exportable(tmp_path / "p", "own")
+        DANGER_ROUNDS.require_exportable(folder, "own")
 
 
-def test_a_policy_of_another_camera_is_refused_and_a_level_replaces_its_own(tmp_path: Path):
+def test_a_policy_of_another_camera_is_refused_and_a_level_replaces_its_own(folder: Path):
     config = small_config()
-    saved(tmp_path / "p", config)
+    saved(folder, config)
     with pytest.raises(PolicyError, match="width_px"):
-        load_danger(tmp_path / "p", "own", small_config("cameras.0.width_px=40"))
-    assert load_danger(tmp_path / "p", "own", config, 0.7).rule.threshold == 0.7
-    assert load_danger(tmp_path / "p", "own", config).rule == RULE
+        load_danger(folder, "own", small_config("cameras.0.width_px=40"))
+    assert load_danger(folder, "own", config, 0.7).rule.threshold == 0.7
+    assert load_danger(folder, "own", config).rule == RULE

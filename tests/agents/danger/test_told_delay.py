@@ -78,6 +78,6 @@ def test_a_suite_tells_each_episodes_delay_before_it_begins(corner):
         made.append(Told())
         return made[-1]
 
-    varied = resolve(place.config, ("vary.action_delay_ticks=[3,3]",))
+    varied = resolve(place.config, "vary.action_delay_ticks=[3,3]")
     drive_block(piece, replace(place, config=varied), make)
     assert [policy.heard for policy in made] == [[3, "reset"], [3, "reset"]]

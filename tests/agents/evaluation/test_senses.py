@@ -43,7 +43,7 @@ def test_senses_are_added_and_a_sensor_that_is_there_stays():
     assert plain.sensors.odometry is None and not plain.env.observe_gyro
     assert seen.sensors.odometry is not None and seen.env.observe_gyro
     assert sense_settings(plain, ()) == ()
-    worse = resolve(plain, ("sensors.odometry.radius_error=0.1",))
+    worse = resolve(plain, "sensors.odometry.radius_error=0.1")
     assert resolve(worse, sense_settings(worse, BOTH)).sensors == worse.sensors
     with pytest.raises(ConfigError, match="sonar"):
         resolve(plain, sense_settings(plain, ("sonar",)))
@@ -51,7 +51,7 @@ def test_senses_are_added_and_a_sensor_that_is_there_stays():
 
 def test_images_that_are_asked_for_are_given_to_who_is_no_network():
     plain = config()
-    several = resolve(plain, ("env.window=3",))
+    several = resolve(plain, "env.window=3")
     assert [resolve(one, list_policy_overrides(one, Numb(one))).env.window for one in (plain, several)] == [1, 3]
 
 

@@ -16,7 +16,7 @@ from wcsim.core.joystick import advance_drive, drive_limits_from_chair, shape_jo
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 
-CONFIG = resolve(RunConfig(cameras=(CameraConfig(width_px=48, height_px=36),)), ("world.action_delay_ticks=2",))
+CONFIG = resolve(RunConfig(cameras=(CameraConfig(width_px=48, height_px=36),)), "world.action_delay_ticks=2")
 
 
 def network(**parts: object) -> DangerNet:
@@ -68,7 +68,7 @@ def test_the_drives_law_is_that_of_the_chair():
 
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_the_graph_moves_as_the_policy_thinks_that_the_chair_does(delay):
-    config = resolve(CONFIG, (f"world.action_delay_ticks={delay}",))
+    config = resolve(CONFIG, f"world.action_delay_ticks={delay}")
     eye, points = FeatureExtractor(config), action_set(config.env.actions)
     graph = DangerPolicyGraph(network(), config, DangerRuleSettings()).eval()
     state = [torch.zeros(shape) for shape in graph.shapes().values()]

@@ -26,7 +26,7 @@ from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
 
 TOOL = runpy.run_path(str(ROOT / "tools" / "ship_policy.py"), run_name="tool")
-OWN = resolve(CONFIG, ("learn.head=danger",))
+OWN = resolve(CONFIG, "learn.head=danger")
 
 
 @pytest.fixture(scope="module")
@@ -81,12 +81,12 @@ def test_its_card_says_where_the_camera_sits_and_its_noise_in_words(made):
 def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, tmp_path, monkeypatch):
     words = ("collect.segments=0", "collect.made_towns=4")
     info = RunInfo(seed=3, town="helsinki", command=("wcsim", "train", "--out", "/home/me/a"))
-    in_rounds = resolve(OWN, ("collect.rounds=2",))
+    in_rounds = resolve(OWN, "collect.rounds=2")
     driven = create_run_folder(tmp_path / "a", in_rounds, make_run_manifest(in_rounds, info)).path / "data"
     collected = tmp_path / "mine"
     names = ("1-000-0000", "1-000-0001", "2-000-0000")
     write_data_manifest(driven, in_rounds, {"helsinki": "a" * 64}, {})
-    met = resolve(OWN, ('collect.profiles=["slow", "ataxic"]',))
+    met = resolve(OWN, 'collect.profiles=["slow", "ataxic"]')
     towns = {"corner": "b" * 64, "monaco": "c" * 64}
     write_data_manifest(collected, met, towns, {f"{name}.npz.zst": "d" * 64 for name in names})
     own = resolve(OWN, (*words, f"collect.data={json.dumps([str(driven), str(collected)])}"))
@@ -109,7 +109,7 @@ def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, t
 
 
 def test_what_cannot_be_told_is_known_before_anything_is_exported(tmp_path):
-    own = resolve(OWN, (f'collect.data=["{tmp_path / "gone"}"]',))
+    own = resolve(OWN, f'collect.data=["{tmp_path / "gone"}"]')
     run = create_run_folder(tmp_path / "run", own, make_run_manifest(own, RunInfo(seed=3, town="helsinki")))
     with pytest.raises(PolicyError, match=r"gone/data\.json"):
         TOOL["ship"](run, ride(4), [], tmp_path / "here")

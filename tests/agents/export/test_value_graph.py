@@ -59,15 +59,21 @@ def saved(folder: Path, config: RunConfig) -> Path:
     return save_policy(folder, model, camera)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def at_once():
+    """Nobody waits for the cost of a model to be measured."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(onnx_export, "measure_onnx_model_cost", lambda *given: COST)
+        yield
+
+
 @pytest.fixture(scope="module", params=KINDS, ids="-".join)
 def made(request, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExportMeasurements, Path]:
     place = tmp_path_factory.mktemp("export")
     config = config_of(*request.param)
     policy = saved(place / "policy", config)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(onnx_export, "measure_onnx_model_cost", lambda *given: COST)
-        graph = Q_LEARNING.open_graph(policy, config)
-        return place / "onnx", export_policy(*graph, place / "onnx", config, RIDE), policy
+    graph = Q_LEARNING.open_graph(policy, config)
+    return place / "onnx", export_policy(*graph, place / "onnx", config, RIDE), policy
 
 
 def test_the_folder_has_what_the_network_says_and_means(made):
@@ -129,8 +135,7 @@ def test_every_network_of_wcsim_is_exported_here():
     assert {name for name, _ in KINDS} == set(NETWORK_NAMES)
 
 
-def test_what_takes_too_long_is_refused_and_nothing_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(onnx_export, "measure_onnx_model_cost", lambda *given: COST)
+def test_what_takes_too_long_is_refused_and_nothing_is_written(tmp_path):
     config = config_of("patch")
     with pytest.raises(PolicyError, match="--force"):
         graph = Q_LEARNING.open_graph(saved(tmp_path / "policy", config), config)
@@ -163,8 +168,7 @@ class Strange(Plain):
         return super().forward(image, vector) + torch.linalg.svdvals(image.mean(1)).sum()
 
 
-def test_a_network_of_ones_own_is_exported_when_it_is_named_or_refused_with_the_reason(tmp_path, monkeypatch):
-    monkeypatch.setattr(onnx_export, "measure_onnx_model_cost", lambda *given: COST)
+def test_a_network_of_ones_own_is_exported_when_it_is_named_or_refused_with_the_reason(tmp_path):
     refusals = {"Plain": "", "Branches": "without `if`", "Strange": "cannot be exported to ONNX"}
     for name, refusal in refusals.items():
         network = f"{__name__}:{name}"

@@ -105,21 +105,23 @@ def memory(rows, advice=True, **settings):
     return make_replay(rows, SPACE, aid="oracle" if advice else "none", **settings)
 
 
+def told(safe):
+    truth = None if safe is None else SimpleNamespace(safe_actions=safe)
+    return [{OBJECTS: InfoObjects(truth=truth)}]
+
+
+def advised(replay, k, safe, done=False):
+    """One more step, and what is safe after it."""
+    replay.add(observed(k), observed(k + 1), np.array([0]), np.zeros(1), np.array([done]), told(safe))
+
+
 def filled(steps, rows=1000, crash_every=7, unknown=()):
     """A memory in which the safe actions of observation k are mask(k)."""
     replay = memory(rows, n_step=3, seed=5)
     number = 0
     for k in range(steps):
         done = k % crash_every == crash_every - 1
-        truth = None if number + 1 in unknown else SimpleNamespace(safe_actions=mask(number + 1))
-        replay.add(
-            observed(number),
-            observed(number + 1),
-            np.array([0]),
-            np.zeros(1),
-            np.array([done]),
-            [{OBJECTS: InfoObjects(truth=truth)}],
-        )
+        advised(replay, number, None if number + 1 in unknown else mask(number + 1), done)
         number += 2 if done else 1  # the observation after a crash is the episode's last; the next begins another
     return replay
 
@@ -145,12 +147,6 @@ def test_a_look_ahead_ends_with_the_episode():
     for number, safe in zip(numbers(seen), known.numpy(), strict=True):
         last = min(8 * (number // 8) + 6, number + 2, 39 + 39 // 7)
         assert np.array_equal(safe, np.all([mask(k) for k in range(number, last + 1)], axis=0))
-
-
-def advised(replay, k, safe):
-    """One more step, and what is safe after it."""
-    info = {OBJECTS: InfoObjects(truth=SimpleNamespace(safe_actions=safe))}
-    replay.add(observed(k), observed(k + 1), np.array([0]), np.zeros(1), np.array([False]), [info])
 
 
 def test_a_look_ahead_leaves_an_action():
@@ -189,8 +185,8 @@ def test_without_advice_there_is_none_to_draw():
 # --- mirror ---
 
 
-def random_batch(count=5):
-    g = torch.Generator().manual_seed(0)
+def random_batch():
+    g, count = torch.Generator().manual_seed(0), 5
 
     def seen():
         images = {k: torch.randint(0, 34, (count, 1, 24, 32), generator=g, dtype=torch.uint8) for k in ("seg", "depth")}
@@ -253,12 +249,9 @@ def taught():
     buffer = model.replay_buffer
     buffer.reset()
     for k in range(60):
-        truth = SimpleNamespace(safe_actions=~AHEAD if (k + 1) % 2 else np.ones(81, bool))
-        stay = np.array([ACTIONS.nearest((0.0, 0.9))])
-        buffer.add(
-            wall_or_way(k % 2 == 1), wall_or_way((k + 1) % 2 == 1), stay, np.zeros(1), np.array([False]),
-            [{OBJECTS: InfoObjects(truth=truth)}],
-        )  # fmt: skip
+        stay, safe = np.array([ACTIONS.nearest((0.0, 0.9))]), ~AHEAD if (k + 1) % 2 else np.ones(81, bool)
+        now, after = wall_or_way(k % 2 == 1), wall_or_way((k + 1) % 2 == 1)
+        buffer.add(now, after, stay, np.zeros(1), np.array([False]), told(safe))
     model.train(60, 16)
     return model
 

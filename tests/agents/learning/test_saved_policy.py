@@ -190,7 +190,7 @@ def test_a_policy_says_which_further_sensors_it_reads_and_only_then(saved, tmp_p
     with pytest.raises(PolicyError, match=r"needs the sensors \{'wheels': 2\}.* this test has \{\}"):
         open_named_policy(str(folder), config, 0)
     rewrite(folder, sensors={"odometry": 2})
-    assert open_named_policy(str(folder), resolve(config, ("sensors.odometry=typical",)), 0).name == str(folder)
+    assert open_named_policy(str(folder), resolve(config, "sensors.odometry=typical"), 0).name == str(folder)
     rewrite(folder, sensors={"wheels": 7})
     with pytest.raises(PolicyError, match="expected 3 more than theirs"):
         load_policy(folder)

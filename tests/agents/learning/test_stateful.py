@@ -92,7 +92,7 @@ def test_what_does_not_go_together_is_refused(learn, told):
 @pytest.mark.parametrize("key, value", [("group_steps", 0), ("group_steps", 1001), ("burn_in", -1), ("memory", "x")])
 def test_settings_have_bounds(key, value):
     with pytest.raises(ConfigError, match=key):
-        resolve("dqn", (f"learn.{key}={value}",))
+        resolve("dqn", f"learn.{key}={value}")
 
 
 @pytest.mark.parametrize("memory", ["steps", "groups", "windows"])

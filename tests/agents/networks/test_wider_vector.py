@@ -18,6 +18,9 @@ MEASURES = {
 }
 
 
+IMAGE = torch.zeros(1, 1, 2, 2, dtype=torch.uint8)
+
+
 def drawn(space):
     return {key: torch.as_tensor(np.asarray(value))[None] for key, value in space.sample().items()}
 
@@ -31,12 +34,7 @@ def test_a_network_takes_what_the_observation_has(gyro, yaw):
 
 
 def test_what_turns_left_turns_right_in_the_mirror():
-    batch = {
-        "seg": torch.zeros(1, 1, 2, 2, dtype=torch.uint8),
-        "depth": torch.zeros(1, 1, 2, 2, dtype=torch.uint8),
-        "imu": torch.arange(1.0, 11.0)[None],
-        "joystick": torch.ones(1, 2),
-    }
+    batch = {"seg": IMAGE, "depth": IMAGE, "imu": torch.arange(1.0, 11.0)[None], "joystick": torch.ones(1, 2)}
     signs = torch.sign(_mirrored(batch, torch.arange(1), ())["imu"][0]).tolist()
     assert signs == [1, -1, 1, -1, 1, -1, 1, -1, -1, 1]  # ax ay az roll pitch, gx gy gz, sine and cosine of yaw
 
@@ -61,6 +59,6 @@ def test_further_rows_of_numbers_come_last_and_nobody_names_them():
 
 
 def test_further_numbers_turn_their_signs_in_the_mirror():
-    image, stick = torch.zeros(1, 1, 2, 2, dtype=torch.uint8), torch.ones(1, 2)
-    batch = {"seg": image, "depth": image, "imu": torch.ones(1, 5), "joystick": stick, "wheels": torch.ones(1, 2)}
+    pair = torch.ones(1, 2)
+    batch = {"seg": IMAGE, "depth": IMAGE, "imu": torch.ones(1, 5), "joystick": pair, "wheels": pair}
     assert _mirrored(batch, torch.arange(1), (("wheels", (1.0, -1.0)),))["wheels"].tolist() == [[1.0, -1.0]]

@@ -49,6 +49,11 @@ def memory():
     return StreetMemoryGrid(0.1, BOX)
 
 
+def kept(memory, pose=HERE, way_m=0.0):
+    """How many points are remembered."""
+    return len(memory.points_B_m(pose, way_m))
+
+
 def test_what_was_seen_for_a_while_stays_until_the_chair_has_left_it(memory):
     look(memory, POST, times=3)
     look(memory, times=600)
@@ -56,23 +61,23 @@ def test_what_was_seen_for_a_while_stays_until_the_chair_has_left_it(memory):
     left = np.array([0.0, -1.5, math.pi / 2])
     (seen,) = memory.points_B_m(left, 4.0)
     assert seen == pytest.approx([1.95, -2.05])
-    assert len(memory.points_B_m(np.array([-FORGET_M, 0.0, 0.0]), 4.0)) == 0
-    assert len(memory.points_B_m(HERE, 8.0)) == 0  # it is gone for good
+    assert kept(memory, np.array([-FORGET_M, 0.0, 0.0]), 4.0) == 0
+    assert kept(memory, way_m=8.0) == 0  # it is gone for good
 
 
 def test_after_a_long_way_its_place_is_no_longer_sure(memory):
     look(memory, POST, times=3)
-    assert len(memory.points_B_m(HERE, KEEP_WAY_M - 0.1)) == 1
-    assert len(memory.points_B_m(HERE, KEEP_WAY_M + 0.1)) == 0
+    assert kept(memory, way_m=KEEP_WAY_M - 0.1) == 1
+    assert kept(memory, way_m=KEEP_WAY_M + 0.1) == 0
 
 
 @pytest.mark.parametrize("times, brief", [(1, False), (5, True)])
 def test_what_was_seen_once_and_who_can_walk_off_is_kept_for_seconds(memory, times, brief):
     look(memory, POST, times=times, brief=brief)
     look(memory, times=round(KEEP_BRIEFLY_S / 0.1))
-    assert len(memory.points_B_m(HERE, 0.0)) == 1
+    assert kept(memory) == 1
     look(memory)
-    assert len(memory.points_B_m(HERE, 0.0)) == 0
+    assert kept(memory) == 0
 
 
 def test_ground_where_something_was_takes_it_away_the_later_the_surer_it_was(memory):
@@ -81,32 +86,32 @@ def test_ground_where_something_was_takes_it_away_the_later_the_surer_it_was(mem
         memory.forget()
         look(memory, POST, times=times)
         look(memory, low_m=ground, times=contradictions - 1)
-        assert len(memory.points_B_m(HERE, 0.0)) == 1
+        assert kept(memory) == 1
         look(memory, low_m=ground)
-        assert len(memory.points_B_m(HERE, 0.0)) == 0
+        assert kept(memory) == 0
     look(memory, POST, times=3)
     for elsewhere in (measured((2.05, 1.45), BEFORE), measured(POST[0])):
         look(memory, low_m=elsewhere, times=9)
         # Other ground says nothing of it, nor does its own where that before it is out of the picture: no step shows.
-        assert len(memory.points_B_m(HERE, 0.0)) == 1
+        assert kept(memory) == 1
 
 
 def test_the_raster_goes_round_without_mixing_up_places(memory):
     rng = np.random.default_rng(3)
-    pose, way_m, kept = np.zeros(3), 0.0, {}
+    pose, way_m, there = np.zeros(3), 0.0, {}
     for step in range(200):
         points = rng.uniform(-3.0, 3.0, (5, 2))
         look(memory, points, pose=pose, way_m=way_m, times=2)
         for x, y in points + pose[:2]:
-            kept[math.floor(x / CELL_M), math.floor(y / CELL_M)] = (x, y, step)
+            there[math.floor(x / CELL_M), math.floor(y / CELL_M)] = (x, y, step)
         pose, way_m = pose + np.array([0.4, -0.3, 0.0]), way_m + 0.5
-        kept = {
+        there = {
             key: (x, y, at)
-            for key, (x, y, at) in kept.items()
+            for key, (x, y, at) in there.items()
             if math.hypot(x - pose[0], y - pose[1]) <= FORGET_M and way_m - 0.5 * at <= KEEP_WAY_M
         }
         found = memory.points_B_m(pose, way_m) + pose[:2]
-        assert sorted(map(tuple, found.round(9))) == sorted((round(x, 9), round(y, 9)) for x, y, _ in kept.values())
+        assert sorted(map(tuple, found.round(9))) == sorted((round(x, 9), round(y, 9)) for x, y, _ in there.values())
 
 
 def test_ground_is_what_was_seen_or_stood_on(memory):

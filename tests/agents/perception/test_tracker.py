@@ -11,15 +11,11 @@ from wcsim.agents.perception.clusters import (
     MOST_Y,
     PIXELS,
     WALKERS,
+    X,
+    Y,
     find_movable_clusters,
     make_class_mobility_table,
     mask_points_near_cells,
-)
-from wcsim.agents.perception.clusters import (
-    X as AT_X,
-)
-from wcsim.agents.perception.clusters import (
-    Y as AT_Y,
 )
 from wcsim.agents.perception.depth_image import CameraView
 from wcsim.agents.perception.tracker import MoverTracker
@@ -52,19 +48,19 @@ def person(x, y, kind=ClassId.PERSON):
 
 def test_a_person_behind_is_a_cluster_of_the_rear_camera():
     (one,), cells, _ = seen(person(-4.3, 0.5), camera=REAR)
-    assert (one[AT_X], one[AT_Y]) == pytest.approx((-4.0, 0.5), abs=0.2) and (cells[:, 0] < -3.5).all()
+    assert (one[X], one[Y]) == pytest.approx((-4.0, 0.5), abs=0.2) and (cells[:, 0] < -3.5).all()
     assert not len(seen(person(-4.3, 0.5))[0])
 
 
 def test_two_people_are_two_clusters_and_a_post_is_none():
     clusters, cells, owner = seen(person(3.0, -1.0), person(4.0, 1.5), (ClassId.POLE, 2.0, 2.2, 0.0, 0.2, 2.0))
     assert len(clusters) == 2
-    by_side = clusters[np.argsort(clusters[:, AT_Y])]
-    assert by_side[:, [AT_X, AT_Y]] == pytest.approx(np.array([[3.0, -1.0], [4.0, 1.5]]), abs=0.15)
+    by_side = clusters[np.argsort(clusters[:, Y])]
+    assert by_side[:, [X, Y]] == pytest.approx(np.array([[3.0, -1.0], [4.0, 1.5]]), abs=0.15)
     assert (clusters[:, WALKERS] == clusters[:, PIXELS]).all()
     for number, one in enumerate(clusters):
         own = cells[owner == number]
-        assert len(own) and np.abs(own - one[[AT_X, AT_Y]]).max() < 0.5
+        assert len(own) and np.abs(own - one[[X, Y]]).max() < 0.5
     assert mask_points_near_cells(np.array([[3.1, -1.1], [2.1, 0.1]]), cells).tolist() == [True, False]
 
 
@@ -78,7 +74,7 @@ def test_a_class_that_is_painted_on_the_wall_behind_a_person_is_nobody():
     alone, _, _ = seen((ClassId.PERSON, 6.0, 6.2, -0.5, 0.5, 1.0))
     assert len(alone) == 1
     clusters, _, owner = seen(person(2.0, 0.0), (ClassId.PERSON, 6.0, 6.2, -0.9, 0.9, 1.0))
-    assert len(clusters) == 1 and clusters[0, AT_X] < 2.5 and (owner == -1).any()
+    assert len(clusters) == 1 and clusters[0, X] < 2.5 and (owner == -1).any()
 
 
 def test_a_few_pixels_are_noise():
@@ -89,10 +85,16 @@ def test_a_few_pixels_are_noise():
 def cluster(x, y, size=0.4, walks=True, length=None):
     one = np.zeros(11)
     half = 0.5 * (size if length is None else length)
-    one[[AT_X, AT_Y]] = x, y
+    one[[X, Y]] = x, y
     one[[LEAST_X, MOST_X, LEAST_Y, MOST_Y]] = x - half, x + half, y - 0.5 * size, y + 0.5 * size
     one[[PIXELS, WALKERS]] = 40, 40 if walks else 0
     return one
+
+
+def see(tracker, *places, **kind):
+    """One tick in which clusters are seen at some places."""
+    clusters = np.array([cluster(*at, **kind) for at in places]).reshape(-1, 11)
+    tracker.update(clusters, [np.array([at]) for at in places])
 
 
 def watched(ticks, *movers, noise_m=0.0, tracker=None):
@@ -101,7 +103,7 @@ def watched(ticks, *movers, noise_m=0.0, tracker=None):
     for tick in range(ticks):
         now = [np.array([x + vx * 0.1 * tick, y + vy * 0.1 * tick]) for x, y, vx, vy in movers]
         now = [at + rng.normal(0.0, noise_m, 2) if noise_m else at for at in now]
-        tracker.update(np.array([cluster(*at) for at in now]).reshape(-1, 11), [at[None] for at in now])
+        see(tracker, *now)
     return tracker
 
 
@@ -125,12 +127,12 @@ def test_who_is_not_seen_any_more_goes_on_for_a_while():
     tracker = watched(10, (3.0, 1.0, 0.0, -1.0))
     x, y = tracker.movers[0].p_O_m
     for _ in range(10):
-        tracker.update(np.zeros((0, 11)), [])
+        see(tracker)
     (track,) = tracker.movers
     assert track.p_O_m == pytest.approx([x, y - 1.0], abs=0.05) and track.moves
     assert track.cells_O_m[0] == pytest.approx(track.p_O_m, abs=0.1)
     for _ in range(10):
-        tracker.update(np.zeros((0, 11)), [])
+        see(tracker)
     assert tracker.movers == []
 
 
@@ -138,12 +140,10 @@ def test_a_long_thing_moves_when_both_its_ends_do():
     tracker = MoverTracker(0.1)
     for tick in range(15):
         front = 2.0 + 0.1 * tick * 2.0  # its rear is cut off by the border of the view
-        one = cluster(0.5 * front, 2.0, size=1.5, walks=False, length=front)
-        tracker.update(one[None], [one[None, [AT_X, AT_Y]]])
+        see(tracker, (0.5 * front, 2.0), size=1.5, walks=False, length=front)
     assert np.hypot(*tracker.movers[0].v_O_mps) < 0.1  # one edge alone may be more of it
     for tick in range(15):
-        one = cluster(6.0 + 0.2 * tick, 2.0, size=1.5, walks=False, length=4.0)
-        tracker.update(one[None], [one[None, [AT_X, AT_Y]]])
+        see(tracker, (6.0 + 0.2 * tick, 2.0), size=1.5, walks=False, length=4.0)
     moving = [track for track in tracker.movers if track.moves]
     assert len(moving) == 1 and moving[0].v_O_mps == pytest.approx([2.0, 0.0], abs=0.2) and not moving[0].walks
 
@@ -166,8 +166,7 @@ def test_people_who_pass_each_other_are_not_taken_for_one_who_rushes():
     facing = [(0.5, 0.6 * place - 1.2, 1.0, 0.0) for place in range(5)]
     tracker = MoverTracker(0.1)
     for tick in range(20):
-        now = [np.array([x + vx * 0.1 * tick, y]) for x, y, vx, _ in side_by_side + facing]
-        tracker.update(np.array([cluster(*at) for at in now]), [at[None] for at in now])
+        see(tracker, *((x + vx * 0.1 * tick, y) for x, y, vx, _ in side_by_side + facing))
         assert not any(track.rushes for track in tracker.movers)
     assert len(tracker.movers) == 11
     assert sorted(round(float(track.v_O_mps[0]), 1) for track in tracker.movers) == [-1.0] * 6 + [1.0] * 5
@@ -182,7 +181,7 @@ def test_what_stands_in_a_row_stands_though_it_is_not_seen_each_time(gap_m, seen
         for _ in range(30):
             now = [np.array([4.0, gap_m * place - 6.0]) for place in range(12) if rng.random() < seen_share]
             now = [at + rng.normal(0.0, 0.04, 2) for at in now]
-            tracker.update(np.array([cluster(*at, walks=False) for at in now]), [at[None] for at in now])
+            see(tracker, *now, walks=False)
             rushing += sum(track.rushes for track in tracker.movers)
     assert rushing == 0 or (seen_share < 1.0 and rushing / (8 * 30) < 0.5)  # of twelve; chance pairs, each for a second
 
@@ -190,7 +189,7 @@ def test_what_stands_in_a_row_stands_though_it_is_not_seen_each_time(gap_m, seen
 def test_a_cluster_goes_to_its_own_track_and_not_to_that_of_a_larger_one_beside_it():
     tracker = MoverTracker(0.1)
     stands, comes = np.array([4.0, 0.0]), np.array([4.0, 0.9])
-    tracker.update(np.array([cluster(*stands)]), [stands[None]])
+    see(tracker, stands)
     larger = cluster(*(comes - [0.0, 0.2]))
     larger[[PIXELS, WALKERS]] = 400, 400
     tracker.update(np.array([larger, cluster(*stands)]), [comes[None], stands[None]])
@@ -199,8 +198,7 @@ def test_a_cluster_goes_to_its_own_track_and_not_to_that_of_a_larger_one_beside_
 
 def test_who_is_far_from_where_another_was_is_one_who_rushes_only_when_the_next_look_says_so():
     tracker = MoverTracker(0.1)
-    for at in ([4.0, 0.0], [4.0, 1.2], [4.0, 1.2]):
-        place = np.array(at)
-        tracker.update(np.array([cluster(*place)]), [place[None]])
+    for at in ((4.0, 0.0), (4.0, 1.2), (4.0, 1.2)):
+        see(tracker, at)
     (track,) = tracker.movers
     assert (track.hits, *track.v_O_mps) == (1, 0.0, 0.0)

@@ -147,14 +147,10 @@ def test_random_is_seeded_and_stop_keeps_turning():
     randoms = [make_baseline_policy("random", CONFIG, seed=s) for s in (1, 1, 2)]
     drives = [[policy.act({}) for _ in range(9)] for policy in randoms]
     assert drives[0] == drives[1] != drives[2]
-    view = {**looking_at(box(1.5, 3.0, -3, 3, 0, 3)), "joystick": np.array([0.5, 0.8], np.float32)}
-    assert tuple(ACTIONS.points[make_baseline_policy("stop", CONFIG).act(view)]) == (0.5, 0.0)
-    assert tuple(
-        ACTIONS.points[make_baseline_policy("stop", CONFIG).act({**view, "joystick": np.array([0.5, -0.8])})]
-    ) == (
-        0.5,
-        -0.75,
-    )
+    view = looking_at(box(1.5, 3.0, -3, 3, 0, 3))
+    for y, expected in ((0.8, (0.5, 0.0)), (-0.8, (0.5, -0.75))):
+        action = make_baseline_policy("stop", CONFIG).act({**view, "joystick": np.array([0.5, y], np.float32)})
+        assert tuple(ACTIONS.points[action]) == expected
 
 
 def test_stop_warns_of_a_wall_that_it_sees_twice_and_of_none_that_flickers():
@@ -177,15 +173,17 @@ def test_an_unknown_baseline_is_refused():
         make_baseline_policy("expert", RunConfig())
 
 
+def truth(first_s, **more):
+    return Truth(intent=Joystick(0, 0), danger=True, first_s=first_s, clearance_m=1.0, progress_m=0.0, **more)
+
+
 def test_the_oracle_takes_the_safe_action_nearest_to_the_stick():
     oracle = make_baseline_policy(UPPER_BOUND, CONFIG)
     assert isinstance(oracle, SeesTruth) and not isinstance(make_baseline_policy("dwa", CONFIG), SeesTruth)
     ahead = {"joystick": np.array([0.1, 0.9], np.float32)}
 
     def chosen(safe, first_s=1.0):
-        first_s = np.where(safe, np.inf, first_s)
-        truth = Truth(intent=Joystick(0, 0), danger=True, first_s=first_s, clearance_m=1.0, progress_m=0.0)
-        oracle.see(truth)
+        oracle.see(truth(np.where(safe, np.inf, first_s)))
         return tuple(ACTIONS.points[oracle.act(ahead)])
 
     everything = np.ones(len(ACTIONS), bool)
@@ -208,13 +206,9 @@ def test_the_oracle_that_sees_as_the_cameras_do_takes_its_own_part_of_the_truth(
     ahead = {"joystick": np.array([0.0, 1.0], np.float32)}
     everything, stand = np.full(81, np.inf), ACTIONS.nearest((0.0, 0.0))
     blocked = np.where(np.arange(81) == stand, np.inf, 1.0)  # by somebody whom no camera showed
-    truth = Truth(
-        intent=Joystick(0, 0), danger=True, first_s=blocked, clearance_m=1.0, progress_m=0.0,
-        visible=Verdict(danger=False, first_s=everything),
-    )  # fmt: skip
     for oracle, chosen in ((full, stand), (visible, ACTIONS.nearest((0.0, 1.0)))):
-        oracle.see(truth)
+        oracle.see(truth(blocked, visible=Verdict(danger=False, first_s=everything)))
         assert oracle.act(ahead) == chosen
-    for nothing in (None, Truth(intent=Joystick(0, 0), danger=True, first_s=blocked, clearance_m=1.0, progress_m=0.0)):
+    for nothing in (None, truth(blocked)):
         with pytest.raises(PolicyError, match=r"env\.truth_visible"):
             visible.see(nothing)

@@ -50,9 +50,13 @@ def obstacles(surface):
     return StepObstacleDetector().obstacles([view], _up_in_body(seen["imu"]), CHAIR).copy()
 
 
+def dwa(name="dwa"):
+    return make_baseline_policy(name, CONFIG)
+
+
 def drive(surface, ticks, stick=AHEAD, driver=None):
     """Joystick positions that the baseline chooses while it is shown the same picture again and again."""
-    driver = driver or make_baseline_policy("dwa", CONFIG)
+    driver = driver or dwa()
     view = {**view_of(surface), "joystick": np.asarray(stick, np.float32)}
     return [tuple(POINTS[driver.act(view)]) for _ in range(ticks)]
 
@@ -105,7 +109,7 @@ def test_what_was_not_measured_is_nothing():
 
 def test_on_a_free_way_the_user_decides():
     rng = np.random.default_rng(1)
-    driver = make_baseline_policy("dwa", CONFIG)
+    driver = dwa()
     view = view_of(ground)
     for stick in rng.uniform(-0.7, 0.7, (40, 2)):
         assert driver.act({**view, "joystick": stick}) == ACTIONS.nearest(stick)
@@ -119,7 +123,7 @@ def test_it_stops_before_a_wall_and_keeps_turning():
 
 
 def test_it_slows_down_the_later_the_farther_the_wall():
-    driver = make_baseline_policy("dwa", CONFIG)
+    driver = dwa()
     drive(ground, 25, driver=driver)  # at full speed
     near, far = WALL, box(3.9, 4.5, -3, 3, 0, 3)
     assert drive(far, 1, driver=driver) == [(0.0, 1.0)]
@@ -129,7 +133,7 @@ def test_it_slows_down_the_later_the_farther_the_wall():
 
 def test_it_steers_past_a_post():
     post = box(2.0, 2.1, 0.20, 0.30, 0, 1.2)
-    driver = make_baseline_policy("dwa", CONFIG)
+    driver = dwa()
     drive(ground, 15, driver=driver)
     ((x, y),) = drive(post, 1, driver=driver)
     assert x > 0.0 and y > 0.4  # to the right of it, and on
@@ -139,7 +143,7 @@ def test_what_it_saw_once_is_forgotten_in_seconds_and_what_it_saw_for_longer_is_
     beside = box(0.9, 1.6, 0.45, 1.2, 0, 0.5)
     left, seconds = (-0.75, 0.5), round(KEEP_BRIEFLY_S / 0.1) + 1
     for looks, forgotten in ((1, True), (3, False)):
-        driver = make_baseline_policy("dwa", CONFIG)
+        driver = dwa()
         drive(beside, looks, (0.0, 0.0), driver)
         assert drive(ground, 1, left, driver) != [left], "it is too near to be seen, but it was seen"
         drive(ground, seconds, (0.0, 0.0), driver)
@@ -149,7 +153,7 @@ def test_what_it_saw_once_is_forgotten_in_seconds_and_what_it_saw_for_longer_is_
 
 
 def test_what_it_remembers_moves_as_the_chair_does():
-    driver = make_baseline_policy("dwa", CONFIG)
+    driver = dwa()
     drive(box(2.2, 2.4, -0.1, 0.1, 0, 1.0), 1, (0.0, 0.0), driver)
     before = driver.around.memory.points_B_m(np.zeros(3), 0.0).copy()
     after = driver.around.memory.points_B_m(np.array([0.5, 0.0, 0.3]), 0.5)
@@ -208,7 +212,7 @@ def test_what_is_inside_the_chair_may_leave_it_and_get_no_deeper():
     commands = [(0.0, 0.5), (0.0, 0.0), (0.0, -0.5)]
     assert free_of(commands, inside)[0] == [False, True, True]
     assert free_of(commands, (0.2, 0.0, 0.0, 0.0, 0.07), post)[0] == [False, True, True]  # nor does it excuse others
-    driver = make_baseline_policy("dwa", CONFIG)
+    driver = dwa()
     drive(ground, 20, driver=driver)
     assert max(y for _, y in drive(box(0.71, 3.0, -3, 3, 0, 3), 2, driver=driver)) <= 0.0
 
@@ -239,7 +243,7 @@ def test_what_is_near_already_is_met_only_by_a_stick_that_brings_it_nearer():
 
 
 def test_it_warns_of_what_the_users_stick_would_meet_and_not_for_nothing():
-    wall, driver = box(2.5, 3.0, -3, 3, 0, 3), make_baseline_policy("dwa", CONFIG)
+    wall, driver = box(2.5, 3.0, -3, 3, 0, 3), dwa()
     drive(ground, 20, driver=driver)
     told = []
     for ahead in (True, False, False, True, True, True, True, False, False, False):
@@ -254,7 +258,7 @@ def test_it_warns_of_what_the_users_stick_would_meet_and_not_for_nothing():
 
 def test_backwards_it_goes_where_it_has_been_and_hardly_farther():
     back = (0.0, -0.75)
-    driver = make_baseline_policy("dwa", CONFIG)
+    driver = dwa()
     assert drive(ground, 5, back, driver)[-1][1] > -0.75, "it has never looked behind itself"
     driver.reset()
     drive(ground, 30, driver=driver)
@@ -288,12 +292,12 @@ def test_levels_keep_wider_and_earlier_from_what_is_in_the_way():
     wall = box(2.6, 3.5, -3, 3, 0, 3)
     chosen = []
     for name in ("dwa@0", "dwa", "dwa@2"):
-        driver = make_baseline_policy(name, CONFIG)
+        driver = dwa(name)
         assert driver.name == name
         drive(ground, 20, driver=driver)
         chosen.append(drive(wall, 1, driver=driver)[0][1])
     assert chosen[0] > chosen[2] and chosen == sorted(chosen, reverse=True)
-    assert drive(wall, 5, driver=make_baseline_policy("dwa@1", CONFIG)) == drive(wall, 5)
+    assert drive(wall, 5, driver=dwa("dwa@1")) == drive(wall, 5)
 
 
 @pytest.mark.parametrize("name", ["dwa@", "dwa@-0.1", "dwa@2.01", "dwa@nan", "dwa@much"])
@@ -301,7 +305,7 @@ def test_a_level_that_there_is_not_is_refused(name):
     with pytest.raises(PolicyError, match="from 0 to 2"):
         parse_policy_name(name)
     with pytest.raises(PolicyError, match="from 0 to 2"):
-        make_baseline_policy(name, CONFIG)
+        dwa(name)
     assert parse_policy_name("follow@1").kind != "baseline"
 
 
@@ -309,9 +313,7 @@ def test_both_forms_of_observation_give_the_same_choice():
     view = view_of(box(1.9, 3.0, -0.3, 3, 0, 3))
     depth = decode_depth(view["depth"], CAMERA.range_m) / np.float32(CAMERA.range_m)
     floats = {**view, "depth": depth.astype(np.float32), "joystick": AHEAD}
-    assert make_baseline_policy("dwa", CONFIG).act(floats) == make_baseline_policy("dwa", CONFIG).act(
-        {**view, "joystick": AHEAD}
-    )
+    assert dwa().act(floats) == dwa().act({**view, "joystick": AHEAD})
 
 
 def test_a_decision_is_quick():

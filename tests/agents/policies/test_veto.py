@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.agents.danger.sights import observation
-from tests.agents.policies.test_baselines import box, ground, looking_at
+from tests.agents.danger.test_street_map import observation as sight
+from tests.agents.policies.test_baselines import box, ground
 from tests.support.samples import ACTIONS
 from wcsim.agents.evaluation.suite.run import _identity_of, _policy_at
 from wcsim.agents.opening.named_policy import open_named_policy, resolve_policy_config
@@ -22,10 +23,8 @@ AHEAD = np.array([0.0, 1.0], np.float32)
 WALL = box(1.3, 3.0, -3, 3, 0, 2)  # 0.5 m ahead: driving on at 0.8 m/s would be too late
 
 
-def seen(surface, stick=AHEAD):
-    view = looking_at(surface, camera=CONFIG.cameras[0])
-    imu = np.concatenate([view["imu"], np.zeros(3, np.float32)])
-    return {**view, "imu": imu, "odometry": np.array([0.2, 0.0], np.float32), "joystick": np.asarray(stick, np.float32)}
+def seen(surface):
+    return {**sight(surface, speed=0.8), "joystick": AHEAD}
 
 
 class Doubter:
@@ -59,14 +58,22 @@ class Doubter:
         self.told.append("closed")
 
 
+def veto(inner):
+    return VetoPolicy(f"veto:{inner.name}", inner, CONFIG)
+
+
+def follows():
+    return veto(make_baseline_policy("follow", CONFIG))
+
+
 def test_where_dwa_forbids_nothing_the_policy_drives():
-    policy = VetoPolicy("veto:follow", make_baseline_policy("follow", CONFIG), CONFIG)
+    policy = follows()
     assert policy.act(seen(ground)) == ACTIONS.nearest(AHEAD)
     assert not policy.unsafe[ACTIONS.nearest(AHEAD)]
 
 
 def test_before_a_wall_the_nearest_action_that_is_allowed_is_taken():
-    policy = VetoPolicy("veto:follow", make_baseline_policy("follow", CONFIG), CONFIG)
+    policy = follows()
     chosen = ACTIONS.points[policy.act(seen(WALL))]
     assert policy.unsafe[ACTIONS.nearest(AHEAD)] and not policy.unsafe[ACTIONS.nearest(chosen)]
     distance = ACTIONS.distances(AHEAD[None].astype(np.float64))[0]
@@ -74,20 +81,19 @@ def test_before_a_wall_the_nearest_action_that_is_allowed_is_taken():
 
 
 def test_what_the_policy_itself_holds_for_unsafe_is_not_put_in_the_place():
-    free = VetoPolicy("veto:a", Doubter(AHEAD), CONFIG)
-    first = free.act(seen(WALL))
+    first = veto(Doubter(AHEAD)).act(seen(WALL))
     doubter = Doubter(AHEAD, doubts={tuple(ACTIONS.points[first].tolist())})
-    assert VetoPolicy("veto:b", doubter, CONFIG).act(seen(WALL)) != first
+    assert veto(doubter).act(seen(WALL)) != first
 
 
 def test_where_all_is_unsafe_to_one_of_both_the_veto_counts():
     everything = {tuple(point) for point in ACTIONS.points.tolist()}
-    first = VetoPolicy("veto:a", Doubter(AHEAD), CONFIG).act(seen(WALL))
-    assert VetoPolicy("veto:b", Doubter(AHEAD, doubts=everything), CONFIG).act(seen(WALL)) == first
+    first = veto(Doubter(AHEAD)).act(seen(WALL))
+    assert veto(Doubter(AHEAD, doubts=everything)).act(seen(WALL)) == first
 
 
 def test_where_dwa_would_take_nothing_the_policy_decides(monkeypatch):
-    policy = VetoPolicy("veto:a", Doubter(AHEAD), CONFIG)
+    policy = veto(Doubter(AHEAD))
     monkeypatch.setattr(policy._dwa, "choose", lambda observation: 0)
     policy._dwa.unsafe = np.ones(81, np.bool_)
     assert policy.act(seen(WALL)) == ACTIONS.nearest(AHEAD)
@@ -95,7 +101,7 @@ def test_where_dwa_would_take_nothing_the_policy_decides(monkeypatch):
 
 def test_it_has_the_senses_of_both_and_tells_the_policy_what_happens():
     inner = Doubter(AHEAD)
-    policy = VetoPolicy("veto:doubter", inner, CONFIG)
+    policy = veto(inner)
     assert all(isinstance(policy, what) for what in (HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns))
     assert policy.senses == ("odometry", "gyro", "brake") and policy.warning
     policy.begin()
@@ -107,7 +113,7 @@ def test_it_has_the_senses_of_both_and_tells_the_policy_what_happens():
 
 
 def test_its_level_is_that_of_dwa():
-    policy = VetoPolicy("veto:follow", make_baseline_policy("follow", CONFIG), CONFIG)
+    policy = follows()
     allowed = []
     for level in (0.0, 1.0, 2.0):
         policy.set_level(level)
@@ -139,7 +145,7 @@ def test_a_policy_that_sees_the_truth_needs_no_veto():
         open_named_policy("veto:oracle", CONFIG, 0)
     rows = SimpleNamespace(name="rows", senses=("state",))
     with pytest.raises(PolicyError, match="rows sees the truth; expected one that sees pictures"):
-        VetoPolicy("veto:rows", rows, CONFIG)
+        veto(rows)
 
 
 def test_the_shipped_policy_drives_behind_a_veto():

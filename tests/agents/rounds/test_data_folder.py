@@ -35,23 +35,32 @@ PLANT = (EXAMPLES / "fwd.toml").read_text()
 
 def a_segment(rows: int = 7, seed: int = 0) -> DrivingSegment:
     rng = np.random.default_rng(seed)
+
+    def drawn(*shape: int) -> np.ndarray:
+        return rng.normal(size=shape).astype(np.float32)
+
     return DrivingSegment(
         depth=rng.integers(0, 256, (rows, 24, 32)).astype(np.uint8),
         seg=rng.integers(0, 34, (rows, 24, 32)).astype(np.uint8),
-        imu=rng.normal(size=(rows, 8)).astype(np.float32),
-        odometry=rng.normal(size=(rows, 2)).astype(np.float32),
-        stick=rng.normal(size=(rows, 2)).astype(np.float32),
-        wish=rng.normal(size=(rows, 2)).astype(np.float32),
+        imu=drawn(rows, 8),
+        odometry=drawn(rows, 2),
+        stick=drawn(rows, 2),
+        wish=drawn(rows, 2),
         action=rng.integers(0, 81, rows).astype(np.uint8),
         driver=np.zeros(rows, np.uint8),
         visible=np.full((rows, 81), 255, np.uint8),
         truth=np.full((rows, 81), 255, np.uint8),
-        reward=rng.normal(size=rows).astype(np.float32),
+        reward=drawn(rows),
         crashed=np.zeros(rows, np.bool_),
         own=np.zeros(rows, np.bool_),
         ended=np.arange(rows) == rows - 1,
         delay=np.full(rows, 2, np.uint8),
     )
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "a.npz.zst"
 
 
 def test_a_segment_is_read_as_it_was_written_and_its_bytes_follow_from_it_alone(tmp_path: Path):
@@ -63,9 +72,9 @@ def test_a_segment_is_read_as_it_was_written_and_its_bytes_follow_from_it_alone(
     assert write_segment(tmp_path / "other", a_segment(seed=1)) != sha256
 
 
-def test_a_segment_may_lack_the_oracle_and_an_older_one_does_not_tell_whose_fault_a_crash_was(tmp_path: Path):
+def test_a_segment_may_lack_the_oracle_and_an_older_one_does_not_tell_whose_fault_a_crash_was(path: Path):
     none = np.zeros((7, 0), np.uint8)
-    segment, path = replace(a_segment(), visible=none, truth=none, crashed=np.arange(7) == 6), tmp_path / "a.npz.zst"
+    segment = replace(a_segment(), visible=none, truth=none, crashed=np.arange(7) == 6)
     write_segment(path, segment)
     assert read_segment(path).truth.shape == (7, 0)
     path.write_bytes(packed(**{name: column for name, column in segment.arrays().items() if name != "own"}))
@@ -81,16 +90,14 @@ def test_segments_are_joined_in_their_order():
 
 
 @pytest.mark.parametrize("bytes_left", [0, 10, 2000])
-def test_a_segment_that_was_cut_short_is_refused(tmp_path: Path, bytes_left: int):
-    path = tmp_path / "a.npz.zst"
+def test_a_segment_that_was_cut_short_is_refused(path: Path, bytes_left: int):
     write_segment(path, a_segment())
     path.write_bytes(path.read_bytes()[:bytes_left])
     with pytest.raises(PolicyError, match="cannot be read"):
         read_segment(path)
 
 
-def test_a_segment_that_was_exchanged_is_refused(tmp_path: Path):
-    path = tmp_path / "a.npz.zst"
+def test_a_segment_that_was_exchanged_is_refused(path: Path):
     sha256 = write_segment(path, a_segment())
     write_segment(path, a_segment(seed=1))
     with pytest.raises(PolicyError, match="damaged or replaced"):
@@ -98,8 +105,8 @@ def test_a_segment_that_was_exchanged_is_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e38])
-def test_numbers_that_are_none_are_refused(tmp_path: Path, value: float):
-    segment, path = a_segment(), tmp_path / "a.npz.zst"
+def test_numbers_that_are_none_are_refused(path: Path, value: float):
+    segment = a_segment()
     segment.imu[2, 1] = value
     write_segment(path, segment)
     with pytest.raises(PolicyError, match="not finite"):
@@ -123,30 +130,27 @@ def test_numbers_that_are_none_are_refused(tmp_path: Path, value: float):
     ],
     ids=lambda changes: f"{next(iter(changes))}-{next(iter(changes.values())).dtype}",
 )
-def test_columns_that_fit_nothing_are_refused(tmp_path: Path, changes: dict[str, np.ndarray]):
-    path = tmp_path / "a.npz.zst"
+def test_columns_that_fit_nothing_are_refused(path: Path, changes: dict[str, np.ndarray]):
     path.write_bytes(packed(**{**a_segment().arrays(), **changes}))
     with pytest.raises(PolicyError, match=r"another form|do not fit|rows"):
         read_segment(path)
 
 
-def test_a_segment_without_a_row_is_refused(tmp_path: Path):
-    path = tmp_path / "a.npz.zst"
+def test_a_segment_without_a_row_is_refused(path: Path):
     path.write_bytes(packed(**{name: column[:0] for name, column in a_segment().arrays().items()}))
     with pytest.raises(PolicyError, match="do not fit"):
         read_segment(path)
 
 
-def test_a_segment_that_says_it_is_larger_than_memory_is_refused(tmp_path: Path):
-    path, claim = tmp_path / "a.npz.zst", io.BytesIO()
+def test_a_segment_that_says_it_is_larger_than_memory_is_refused(path: Path):
+    claim = io.BytesIO()
     np.lib.format.write_array_header_1_0(claim, {"descr": "<f4", "fortran_order": False, "shape": (10**14,)})
     path.write_bytes(packed(**a_segment().arrays() | {"reward": claim.getvalue()}))
     with pytest.raises(PolicyError, match="cannot be read"):
         read_segment(path)
 
 
-def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_does(tmp_path: Path, monkeypatch):
-    path = tmp_path / "a.npz.zst"
+def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_does(path: Path, monkeypatch):
     black = {name: np.zeros((2000, 24, 32), np.uint8) for name in ("depth", "seg")}
     path.write_bytes(packed(**a_segment(2000).arrays() | black))
     read_segment(path)
@@ -157,19 +161,19 @@ def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_does(tmp_p
 
 
 @pytest.mark.parametrize("way", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_what_is_packed_once_more_may_unpack_to_anything_and_is_refused(tmp_path: Path, way: int):
-    (tmp_path / "a.npz.zst").write_bytes(packed(way, **a_segment().arrays()))
+def test_what_is_packed_once_more_may_unpack_to_anything_and_is_refused(path: Path, way: int):
+    path.write_bytes(packed(way, **a_segment().arrays()))
     with pytest.raises(PolicyError, match="packed in another way"):
-        read_segment(tmp_path / "a.npz.zst")
+        read_segment(path)
 
 
 @pytest.mark.parametrize("shape", ["(" * 3000, "-" * 9000 + "1", "(" + "'x'," * 9])
-def test_a_header_that_numpy_fails_at_is_refused(tmp_path: Path, shape: str):
+def test_a_header_that_numpy_fails_at_is_refused(path: Path, shape: str):
     head = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}}}\n".encode()
     column = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head
-    (tmp_path / "a.npz.zst").write_bytes(packed(**a_segment().arrays() | {"reward": column}))
+    path.write_bytes(packed(**a_segment().arrays() | {"reward": column}))
     with pytest.raises(PolicyError, match="cannot be read"):
-        read_segment(tmp_path / "a.npz.zst")
+        read_segment(path)
 
 
 def packed(way: int = zipfile.ZIP_STORED, **columns: np.ndarray | bytes) -> bytes:

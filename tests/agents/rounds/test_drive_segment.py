@@ -117,7 +117,7 @@ def test_streets_are_driven_in_each_town_in_turn_also_with_scenes_between_and_ov
 
 
 def test_variants_are_drawn_by_key():
-    config = resolve(RunConfig(), ('collect.variants=["a=1 b=2", "c=3"]',))
+    config = resolve(RunConfig(), 'collect.variants=["a=1 b=2", "c=3"]')
     drawn = {_drawn_settings(config, DrivingSegmentKey(run=0, round=0, index=index)) for index in range(20)}
     assert drawn == {("a=1", "b=2"), ("c=3",)}
     assert _drawn_settings(RunConfig(), KEY) == ()

@@ -98,12 +98,12 @@ SETTINGS = sorted({value for _, words in SHOWN for option, value in pairwise(wor
 
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_a_setting_of_a_page_is_one(setting: str) -> None:
-    resolve("dqn" if setting.startswith("learn.") else "quick", (setting,))
+    resolve("dqn" if setting.startswith("learn.") else "quick", setting)
 
 
 def test_a_setting_that_there_is_not_is_noticed() -> None:
     with pytest.raises(ConfigError):
-        resolve("quick", ("world.strete=careless",))
+        resolve("quick", "world.strete=careless")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -9,7 +9,7 @@ from typing import Any
 
 from tests.attack.files.damage import cheap
 from tests.attack.outcomes import Case, Outcome
-from tests.attack.scenarios.twists import NASTY, PLACES, Rng, draws, integer, pick, spoiled, toml_text, twisted
+from tests.attack.scenarios.twists import NASTY, PLACES, Data, Rng, draws, integer, pick, spoiled, toml_text, twisted
 
 Take = Callable[[Path], bool]
 Twist = Callable[[Rng], tuple[bytes, str]]
@@ -31,7 +31,7 @@ Families = Callable[[Path], Sequence[Family]]
 """Makes sound files, each once, in a folder that is empty again afterwards."""
 
 
-def model_twist(data: dict[str, Any], write: Callable[[dict[str, Any]], str], nasty: tuple[Any, ...] = NASTY) -> Twist:
+def model_twist(data: Data, write: Callable[[Data], str], nasty: tuple[Any, ...] = NASTY) -> Twist:
     """Fields of a sound one are others, none or more than there were."""
 
     def twist(rng: Rng) -> tuple[bytes, str]:
@@ -44,9 +44,9 @@ def model_twist(data: dict[str, Any], write: Callable[[dict[str, Any]], str], na
 def modelled(
     name: str,
     file: str,
-    data: dict[str, Any],
+    data: Data,
     take: Take,
-    write: Callable[[dict[str, Any]], str] = toml_text,
+    write: Callable[[Data], str] = toml_text,
     **more: Any,
 ) -> Family:
     """A kind of file whose sound one holds these fields."""

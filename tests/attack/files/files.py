@@ -254,8 +254,8 @@ def _set_case(config: RunConfig, keys: list[str], rng: Rng, number: int) -> Case
     text = f"{pick(rng, odd) if integer(rng, 10) == 0 else key}={value if integer(rng, 3) == 0 else toml_value(value)}"
 
     def feed() -> bool:
-        made = resolve(config, (text,))
+        made = resolve(config, text)
         find_user(made.env.profile)
-        return take_config(made) and resolve("quick", (text,)).digest() != ""
+        return take_config(made) and resolve("quick", text).digest() != ""
 
     return Case(area="set", name=f"{number}: {text[:80]!r}", feed=feed)

@@ -24,7 +24,8 @@ TICKS = tuple(tick(number, epoch=1) for number in range(1, 240))
 LONG: tuple[Input, ...] = (*RECORDS[:-1], *TICKS, Ended(reason="x"))
 FRAMES = tuple(SeenFrame(epoch=0, tick=number, stepped=number % 30 > 0) for number in range(60))
 DEEP = b"\x94\xa1e" + b"\x91" * 50_000
-Spoil = Callable[[list[bytes], Rng], bytes]
+Pieces = list[bytes]
+Spoil = Callable[[Pieces, Rng], bytes]
 """Makes another file of the pieces of a sound one."""
 
 
@@ -63,7 +64,7 @@ def _feed(area: str, data: bytes, whole: bytes, folder: Path) -> bool:
 # --- journals ---
 
 
-def a_journal(path: Path) -> list[bytes]:
+def a_journal(path: Path) -> Pieces:
     """The pieces of a sound one."""
     with LogWriter(path, HEADER) as writer:
         for record in LONG:
@@ -71,7 +72,7 @@ def a_journal(path: Path) -> list[bytes]:
     return pieces(path)
 
 
-def a_ledger(path: Path) -> list[bytes]:
+def a_ledger(path: Path) -> Pieces:
     """The pieces of a sound one."""
     with open_ledger_writer(path, "c0") as ledger:
         for frame in FRAMES:
@@ -121,22 +122,22 @@ def _contents(whole: bytes) -> tuple[bytes, ...]:
     return tuple(found)
 
 
-def any_damage(parts: list[bytes], rng: Rng) -> bytes:
+def any_damage(parts: Pieces, rng: Rng) -> bytes:
     return bytes(pick(rng, ANY)(b"".join(parts), rng))
 
 
-def a_flip_near_the_end(parts: list[bytes], rng: Rng) -> bytes:
+def a_flip_near_the_end(parts: Pieces, rng: Rng) -> bytes:
     data = b"".join(parts)
     return flipped_at(data, 8 * len(data) - 1 - integer(rng, 8 * 2000))
 
 
-def a_flipped_length(parts: list[bytes], rng: Rng) -> bytes:
+def a_flipped_length(parts: Pieces, rng: Rng) -> bytes:
     number = len(parts) - 1 - integer(rng, min(len(parts), 220))
     bit = integer(rng, 32)
     return b"".join([*parts[:number], flipped_at(parts[number], bit), *parts[number + 1 :]])
 
 
-def lengths_and_contents(parts: list[bytes], rng: Rng) -> bytes:
+def lengths_and_contents(parts: Pieces, rng: Rng) -> bytes:
     """Several bits of some of the last records."""
     parts = list(parts)
     for _ in range(int(rng.integers(2, 5))):
@@ -145,26 +146,26 @@ def lengths_and_contents(parts: list[bytes], rng: Rng) -> bytes:
     return b"".join(parts)
 
 
-def doubled(parts: list[bytes], rng: Rng) -> bytes:
+def doubled(parts: Pieces, rng: Rng) -> bytes:
     number = integer(rng, len(parts))
     place = int(rng.integers(1, len(parts) + 1))
     return b"".join([*parts[:place], parts[number], *parts[place:]])
 
 
-def swapped(parts: list[bytes], rng: Rng) -> bytes:
+def swapped(parts: Pieces, rng: Rng) -> bytes:
     one, other = rng.choice(len(parts), 2, replace=False)
     parts = list(parts)
     parts[one], parts[other] = parts[other], parts[one]
     return b"".join(parts)
 
 
-def left_out(parts: list[bytes], rng: Rng) -> bytes:
+def left_out(parts: Pieces, rng: Rng) -> bytes:
     """A record that others follow."""
     number = int(rng.integers(1, len(parts) - 1))
     return b"".join([*parts[:number], *parts[number + 1 :]])
 
 
-def strange_records(parts: list[bytes], rng: Rng) -> bytes:
+def strange_records(parts: Pieces, rng: Rng) -> bytes:
     """Whole ones that say what no journal says, in the chain and out of it."""
     short_tick = b"\x96\xa1t\0\1\x91\0\x90\xa1a"
     payload = pick(rng, (DEEP, b"", b"\x90", b"\xc0", short_tick, b"\x92\xa1q\x80", bomb(rng), rng.bytes(40)))
@@ -174,18 +175,18 @@ def strange_records(parts: list[bytes], rng: Rng) -> bytes:
     return b"".join([*parts[:place], strange, *(parts[place:] if rng.random() < 0.5 else [])])
 
 
-def huge_lengths(parts: list[bytes], rng: Rng) -> bytes:
+def huge_lengths(parts: Pieces, rng: Rng) -> bytes:
     size = pick(rng, (0, 1, 7, 1 << 16, MAX_RECORD_BYTES, MAX_RECORD_BYTES + 1, (1 << 31) - 1, (1 << 32) - 1))
     rest = pick(rng, (b"", rng.bytes(50), bytes(70_000), zlib.compress(bytes(1 << 20)), rng.bytes(70_000)))
     return b"".join([*parts, struct.pack("<II", size, integer(rng, 1 << 32)), rest])
 
 
-def a_swollen_end(parts: list[bytes], rng: Rng) -> bytes:
+def a_swollen_end(parts: Pieces, rng: Rng) -> bytes:
     after = struct.unpack_from("<I", parts[-1], 4)[0]
     return swollen(b"".join(parts), rng, lambda payload: frame_payload(payload, after))
 
 
-def another_header(parts: list[bytes], rng: Rng) -> bytes:
+def another_header(parts: Pieces, rng: Rng) -> bytes:
     head = header_to_bytes(HEADER)
     other = pick(rng, (bomb(rng), head.replace(b"log-1", b"log-2"), head[:-5], head.replace(b"wcsim", b"xcsim"), DEEP))
     return b"".join([frame_payload(other), *parts[1:]])
@@ -194,7 +195,7 @@ def another_header(parts: list[bytes], rng: Rng) -> bytes:
 # --- metrics and events ---
 
 
-def some_metrics(path: Path) -> list[bytes]:
+def some_metrics(path: Path) -> Pieces:
     """The lines of a sound file."""
     metrics = MetricsFile(path)
     for step in range(10, 200, 10):
@@ -217,7 +218,7 @@ def check_metrics(path: Path, data: bytes, whole: bytes) -> bool:
     return read_metrics(path) == rows
 
 
-def some_events(path: Path) -> list[bytes]:
+def some_events(path: Path) -> Pieces:
     path.mkdir()
     log = EventLogWriter(path)
     for number in range(20):
@@ -240,12 +241,12 @@ def check_events(path: Path, data: bytes, whole: bytes) -> bool:
     )
 
 
-def a_bomb(parts: list[bytes], rng: Rng) -> bytes:
+def a_bomb(parts: Pieces, rng: Rng) -> bytes:
     place = integer(rng, len(parts) + 1)
     return b"".join([*parts[:place], bomb(rng), b"\n", *parts[place:]])
 
 
-MAKERS: dict[str, Callable[[Path], list[bytes]]] = {
+MAKERS: dict[str, Callable[[Path], Pieces]] = {
     "journals": a_journal, "ledgers": a_ledger, "metrics": some_metrics, "events": some_events,
 }  # fmt: skip
 SPOILS: dict[str, tuple[Spoil, ...]] = {

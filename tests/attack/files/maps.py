@@ -88,7 +88,7 @@ class NotTakenError(Exception):
     """A sound file was refused, or one that was taken does not make the same again."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Target:
     """A sound file, and how wcsim takes it: again from what it made of it, where it can be written."""
 
@@ -217,20 +217,16 @@ def targets() -> dict[str, Target]:
         tif = _heights(Path(folder) / "a.tif")
     scene = (find_scene("pedestrian-crossing") / "scene.toml").read_bytes()
     made = (
-        Target(name="a.osm", data=osm, take=_take_extract),
-        Target(name="a.osm.gz", data=gzip.compress(osm), take=_take_extract),
-        Target(name="a.osm.bz2", data=bz2.compress(osm), take=_take_extract),
-        Target(name="a.net.xml", data=net, take=_take_net),
-        Target(name="a.net.xml.gz", data=gzip.compress(net), take=_take_net),
-        Target(name="a.tif", data=tif, take=_take_heights),
-        Target(name="town.toml", data=_TOML, take=_take_town),
-        Target(name="scene.toml", data=scene, take=_take_scene),
-        Target(name="a.osm.pbf", data=pbf, take=_take_extract),
-        Target(
-            name="spoilt.edg.xml",
-            data=next(find_scene("pedestrian-crossing").glob("*.edg.xml")).read_bytes(),
-            take=_build,
-        ),
+        Target("a.osm", osm, _take_extract),
+        Target("a.osm.gz", gzip.compress(osm), _take_extract),
+        Target("a.osm.bz2", bz2.compress(osm), _take_extract),
+        Target("a.net.xml", net, _take_net),
+        Target("a.net.xml.gz", gzip.compress(net), _take_net),
+        Target("a.tif", tif, _take_heights),
+        Target("town.toml", _TOML, _take_town),
+        Target("scene.toml", scene, _take_scene),
+        Target("a.osm.pbf", pbf, _take_extract),
+        Target("spoilt.edg.xml", next(find_scene("pedestrian-crossing").glob("*.edg.xml")).read_bytes(), _build),
     )
     return dict(zip((*_KINDS, "pbf", "built"), made, strict=True))
 

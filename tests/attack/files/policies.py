@@ -16,6 +16,7 @@ from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import (
     NASTY,
     PLACES,
+    Data,
     Rng,
     cleared,
     draws,
@@ -36,16 +37,17 @@ WIDTHS = {"F64": 8, "F32": 4, "F16": 2, "BF16": 2, "I64": 8, "I32": 4, "I16": 2,
 SOUND_NETWORKS = ("patch", "conv3d", "patch", "fig6")
 SIZES = (0, 1, 7, 8, 64, 4096, 65_536, 10**7, 2**31, 2**63, 2**64 - 1)
 Tensors = dict[str, tuple[str, list[Any], bytes]]  # type, shape and bytes of each
-Change = Callable[[Tensors, Rng], tuple[Tensors, str]]
+Changed = tuple[Tensors, str]
+Change = Callable[[Tensors, Rng], Changed]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sound:
     """A policy as wcsim wrote it, and what it sees."""
 
-    about: dict[str, Any]
+    about: Data
     weights: bytes
-    observation: dict[str, Any]
+    observation: Data
 
 
 def sound_policy(work: Path, network: str = "patch") -> Sound:
@@ -72,9 +74,9 @@ def unpacked(data: bytes) -> Tensors:
     }
 
 
-def packed(tensors: Tensors, change: Callable[[dict[str, Any]], None] = lambda head: None) -> bytes:
+def packed(tensors: Tensors, change: Callable[[Data], None] = lambda head: None) -> bytes:
     """A safetensors file, whatever it says."""
-    head: dict[str, Any] = {}
+    head: Data = {}
     at = 0
     for name, (dtype, shape, data) in tensors.items():
         head[name] = {"dtype": dtype, "shape": shape, "data_offsets": [at, at + len(data)]}
@@ -87,7 +89,7 @@ def _framed(head: bytes, body: bytes, size: int | None = None) -> bytes:
     return (len(head) if size is None else size).to_bytes(8, "little") + head + body
 
 
-def _cast(tensors: Tensors, rng: Rng) -> tuple[Tensors, str]:
+def _cast(tensors: Tensors, rng: Rng) -> Changed:
     """Another type, with right shapes and enough bytes, for one tensor or for all."""
     dtype = pick(rng, sorted(WIDTHS))
     chosen = set(tensors) if integer(rng, 2) else {pick(rng, sorted(tensors))}
@@ -99,12 +101,12 @@ def _cast(tensors: Tensors, rng: Rng) -> tuple[Tensors, str]:
     return out, f"{len(chosen)} of type {dtype!r}"
 
 
-def _as_doubles(tensors: Tensors, rng: Rng) -> tuple[Tensors, str]:
+def _as_doubles(tensors: Tensors, rng: Rng) -> Changed:
     value = pick(rng, (1e300, -1e39, 0.01))
     return {name: ("F64", shape, np.full(shape, value).tobytes()) for name, (_, shape, _) in tensors.items()}, "doubles"
 
 
-def _filled(tensors: Tensors, rng: Rng) -> tuple[Tensors, str]:
+def _filled(tensors: Tensors, rng: Rng) -> Changed:
     value = pick(rng, (3e38, -3e38, 1e30, np.nan, np.inf, -np.inf, 1e-45, 0.0))
     chosen = set(tensors) if integer(rng, 2) else {pick(rng, sorted(tensors))}
     out = {
@@ -114,7 +116,7 @@ def _filled(tensors: Tensors, rng: Rng) -> tuple[Tensors, str]:
     return out, f"{len(chosen)} filled with {value}"
 
 
-def _reshaped(tensors: Tensors, rng: Rng) -> tuple[Tensors, str]:
+def _reshaped(tensors: Tensors, rng: Rng) -> Changed:
     name = pick(rng, sorted(tensors))
     kind, shape, data = tensors[name]
     near = (shape[::-1], [*shape, 1], [1, *shape], [int(np.prod(shape))])
@@ -122,7 +124,7 @@ def _reshaped(tensors: Tensors, rng: Rng) -> tuple[Tensors, str]:
     return {**tensors, name: (kind, odd, data)}, f"{name} is {odd}"
 
 
-def _renamed(tensors: Tensors, rng: Rng) -> tuple[Tensors, str]:
+def _renamed(tensors: Tensors, rng: Rng) -> Changed:
     name = pick(rng, sorted(tensors))
     out = dict(tensors)
     match integer(rng, 4):
@@ -208,7 +210,7 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
         yield Case(area=area, name=f"{number}: {told}", feed=feed)
 
 
-def _other_description(about: dict[str, Any], rng: Rng) -> tuple[dict[str, Any], str]:
+def _other_description(about: Data, rng: Rng) -> tuple[Data, str]:
     if integer(rng, 3):
         return twisted(about, rng)
     net, size = dict(about["net"]), pick(rng, SIZES)

@@ -13,7 +13,7 @@ import torch
 from rich.console import Console
 
 from tests.attack.files import files, policies
-from tests.attack.scenarios.twists import json_text
+from tests.attack.scenarios.twists import Data, json_text
 from wcsim.agents.learning import saved_policy
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
@@ -85,7 +85,7 @@ def test_a_toml_bomb_is_refused_in_one_line(tmp_path: Path, take: Take, bomb: st
 def test_a_bomb_among_the_words_of_a_command(value: str) -> None:
     for key in ("learn.gamma", "vary.plant", "cameras", "a." * 5000 + "a", "world.tick_s"):
         with pytest.raises(ConfigError, match="--set"):
-            resolve("quick", (f"{key}={value}",))
+            resolve("quick", f"{key}={value}")
 
 
 def places(tmp_path: Path) -> list[Path]:
@@ -164,7 +164,7 @@ def test_a_device_in_a_copied_run_is_not_read(tmp_path: Path, name: str) -> None
         {"clients": ["a", "a"]}, {"clients": [1]}, {"clients": {"a": 1}}, {"clients": ["\x1b[31m"]},
     ],
 )  # fmt: skip
-def test_entries_of_a_manifest_have_types_and_bounds(tmp_path: Path, changes: dict[str, Any]) -> None:
+def test_entries_of_a_manifest_have_types_and_bounds(tmp_path: Path, changes: Data) -> None:
     path = a_run(tmp_path) / MANIFEST
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
     with pytest.raises(PolicyError, match=r"manifest\.json: .*" + next(iter(changes))):
@@ -181,7 +181,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> policies.Sound:
     return policies.sound_policy(tmp_path_factory.mktemp("sound"))
 
 
-def a_policy(folder: Path, about: dict[str, Any], weights: bytes) -> Path:
+def a_policy(folder: Path, about: Data, weights: bytes) -> Path:
     """A policy whose digest fits."""
     about = {**about, "weights_sha256": hashlib.sha256(weights).hexdigest()}
     (folder / POLICY_JSON).write_text(json_text(about))
@@ -247,7 +247,7 @@ def test_weights_that_leave_the_finite_numbers_when_used_are_refused(tmp_path: P
     [{"hidden": 65_536}, {"network": "fig6"}],
 )
 def test_a_description_gets_no_memory_before_it_fits_the_weights(
-    tmp_path: Path, sound: policies.Sound, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any]
+    tmp_path: Path, sound: policies.Sound, monkeypatch: pytest.MonkeyPatch, changes: Data
 ) -> None:
     built = []
     whole = saved_policy._empty_net

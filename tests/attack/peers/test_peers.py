@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,14 +24,9 @@ from wcsim.users.profiles import filter_user_file_names
 
 AHEAD_A_LITTLE = Joystick(0.0, 0.05)  # within the dead band: the street stays the same
 NAN, INF = math.nan, math.inf
-STARTS = [
-    StartSpec(p_W_m=(NAN, NAN), yaw_rad=0.0, goal_W_m=(0.0, 0.0)),
-    StartSpec(p_W_m=(INF, 0.0), yaw_rad=0.0, goal_W_m=(0.0, 0.0)),
-    StartSpec(p_W_m=(1e300, -1e300), yaw_rad=0.0, goal_W_m=(0.0, 0.0)),
-    StartSpec(p_W_m=(0.0, 0.0), yaw_rad=0.0, goal_W_m=(NAN, 0.0)),
-    StartSpec(p_W_m=(0.0, 0.0), yaw_rad=NAN, goal_W_m=(0.0, 0.0)),
-    StartSpec(p_W_m=(9e5, 9e5), yaw_rad=0.0, goal_W_m=(0.0, 0.0)),
-]
+SOUND = StartSpec(p_W_m=(0.0, 0.0), yaw_rad=0.0, goal_W_m=(0.0, 0.0))
+STARTS = [replace(SOUND, p_W_m=place) for place in ((NAN, NAN), (INF, 0.0), (1e300, -1e300), (9e5, 9e5))]
+STARTS += [replace(SOUND, goal_W_m=(NAN, 0.0)), replace(SOUND, yaw_rad=NAN)]
 
 
 class Town:

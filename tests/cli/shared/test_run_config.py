@@ -17,7 +17,7 @@ from wcsim.cli.training.train import _QLearningOptions
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.specs import RunInfo
-from wcsim.towns.scenario.town import find_town, streets_hash
+from wcsim.towns.scenario.town import streets_hash
 
 INFO = RunInfo(seed=3, command=("wcsim", "train"))
 
@@ -39,26 +39,27 @@ def test_a_run_is_learned_with_episodes_of_its_own_length():
     assert config == resolve(config, settings_from_learner(config))
 
 
-def test_a_resolved_run_says_all_of_its_town_and_its_network_and_nothing_is_left_to_do(corner, tmp_path):
-    town, config = find_town(str(corner)), q_config(_QLearningOptions(), "fig6")
+def test_a_resolved_run_says_all_of_its_town_and_its_network_and_nothing_is_left_to_do(corner_town, tmp_path):
+    config = q_config(_QLearningOptions(), "fig6")
     assert config.env.window is None
-    run = resolve_run_settings(config, INFO, town, tmp_path / "run")
+    run = resolve_run_settings(config, INFO, corner_town, tmp_path / "run")
     assert run.config == config.model_copy(update={"env": config.env.model_copy(update={"window": 4})})
-    assert run.info.overrides == list_sumo_overrides(town, config, 3) != ()
-    assert replace(run.info, overrides=()) == replace(INFO, town=town.name, town_sha256=streets_hash(town))
-    assert resolve_run_settings(run.config, run.info, town, run.out) == run
+    assert run.info.overrides == list_sumo_overrides(corner_town, config, 3) != ()
+    told = replace(INFO, town=corner_town.name, town_sha256=streets_hash(corner_town))
+    assert replace(run.info, overrides=()) == told
+    assert resolve_run_settings(run.config, run.info, corner_town, run.out) == run
     assert not run.out.exists()
 
 
-def test_what_cannot_be_used_is_refused(corner, tmp_path):
-    town, config = find_town(str(corner)), resolve("quick")
+def test_what_cannot_be_used_is_refused(corner_town, tmp_path):
+    config = resolve("quick")
     (tmp_path / "file").write_text("mine")
     for info, out, error in (
         (INFO, tmp_path / "file", ConfigError),
         (replace(INFO, rewards=("nonesuch:Term",)), tmp_path / "run", PolicyError),
     ):
         with pytest.raises(error):
-            resolve_run_settings(config, info, town, out)
+            resolve_run_settings(config, info, corner_town, out)
 
 
 def test_what_needs_pytorch_says_so_before_a_street_is_built(monkeypatch):

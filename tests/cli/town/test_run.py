@@ -66,9 +66,9 @@ def test_collisions_of_the_warm_up_are_counted_apart(tmp_path, capsys):
     assert (facts["collisions"], facts["collisions_warming"]) == (1, 1)
 
 
-def two_streets(corner, tmp_path, vclass):
+def two_streets(corner_town, tmp_path, vclass):
     """A scenario of two streets without pavements for vehicles of one class, and such a vehicle."""
-    sumocfg = hostile.scenario(find_town(str(corner)), tmp_path / "theirs")
+    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
     net = sumocfg.with_name("a.net.xml")
     kind = f'numLanes="1" speed="13" allow="{vclass}"'
     edges = f'<edge id="e1" from="a" to="b" {kind}/><edge id="e2" from="b" to="c" {kind}/>'
@@ -84,8 +84,8 @@ def two_streets(corner, tmp_path, vclass):
     return sumocfg
 
 
-def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_path, capsys):
-    sumocfg = two_streets(corner, tmp_path, "passenger")
+def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner_town, tmp_path, capsys):
+    sumocfg = two_streets(corner_town, tmp_path, "passenger")
     words = ["town", "run", str(sumocfg), "--seconds", "2"]
     assert main([*words, "--chairs", "0", "--out", str(tmp_path / "none")]) == 0
     assert "wcsim town pave" in capsys.readouterr().out  # nobody walks, and how to change that
@@ -116,9 +116,9 @@ def test_a_hook_of_the_users_own_is_loaded_from_the_command_line_only(corner, tm
         toml.write_text(before)
 
 
-def test_somebodys_scenario_is_imported_as_it_is(corner, tmp_path, capsys, monkeypatch):
+def test_somebodys_scenario_is_imported_as_it_is(corner_town, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    sumocfg = hostile.scenario(find_town(str(corner)), tmp_path / "theirs")
+    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
     main(["town", "import", "--sumocfg", str(sumocfg), "--name", "mine", "--split", "test"])
     assert "scenarios/sumo/mine" in capsys.readouterr().out
     town = find_town("mine")

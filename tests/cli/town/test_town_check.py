@@ -12,7 +12,7 @@ from tests.towns.made import hostile
 from wcsim.cli.shared.common import parse_options
 from wcsim.cli.town import town_check
 from wcsim.cli.town.run import TownRunOptions
-from wcsim.towns.scenario.town import find_town, open_town
+from wcsim.towns.scenario.town import open_town
 from wcsim.towns.sumo.tools import Limits, ToolRun
 
 LOOP = '<inductionLoop id="loop" lane="nowhere_0" pos="5" period="5" file="loop.xml"/>'
@@ -28,9 +28,11 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         ("<default.carfollowmodel value='fly'/>", "", "a.sumocfg", "'fly'"),
     ],
 )
-def test_what_only_sumo_refuses_is_a_fault_in_its_words(wcsim: Run, folder: Path, corner, options, more, culprit, text):
-    sound = hostile.scenario(find_town(str(corner)), folder / "sound")
-    broken = hostile.scenario(find_town(str(corner)), folder / "broken", options, more)
+def test_what_only_sumo_refuses_is_a_fault_in_its_words(
+    wcsim: Run, folder: Path, corner_town, options, more, culprit, text
+):
+    sound = hostile.scenario(corner_town, folder / "sound")
+    broken = hostile.scenario(corner_town, folder / "broken", options, more)
     before, faults = files_in(folder), []
     for town in (sound, broken):
         result = wcsim("town", "check", town, "--json", "check.json")
@@ -42,8 +44,7 @@ def test_what_only_sumo_refuses_is_a_fault_in_its_words(wcsim: Run, folder: Path
     assert files_in(folder) == before | {"check.json"}
 
 
-def test_collisions_of_the_traffic_are_told_with_a_command(corner, folder: Path, monkeypatch) -> None:
-    town = find_town(str(corner))
+def test_collisions_of_the_traffic_are_told_with_a_command(corner_town, folder: Path, monkeypatch) -> None:
     hits = [("a", "b", ":j_0_0"), ("b", "a", ":j_0_0"), ("p", "q", "e_0")]
 
     def sumo(name: str, words: list[str], folder: Path, limits: Limits) -> ToolRun:
@@ -52,11 +53,11 @@ def test_collisions_of_the_traffic_are_told_with_a_command(corner, folder: Path,
         return ToolRun(name=name, returncode=0, output="")
 
     monkeypatch.setattr(town_check, "run_tool", sumo)
-    (note,) = town_check._traffic_notes(town)
+    (note,) = town_check._traffic_notes(corner_town)
     assert "reports 2 collisions in the first 300 s of this traffic: b with a on :j_0_0, p with q on e_0;" in note
     parse_options(TownRunOptions, shlex.split(printed(note, "about half as often"))[3:], "town run")
     hits.clear()
-    assert list(town_check._traffic_notes(town)) == []
+    assert list(town_check._traffic_notes(corner_town)) == []
 
 
 def test_collisions_are_those_that_plain_sumo_reports(folder: Path, monkeypatch) -> None:
@@ -77,8 +78,8 @@ def test_warnings_are_told_with_a_command_that_writes_them(wcsim: Run, folder: P
     assert f"wcsim town check {town}\n" in wcsim(*words, "empty", "--set", "world.demand_scale=0").out
 
 
-def test_an_import_says_it_too(wcsim: Run, folder: Path, corner) -> None:
-    broken = hostile.scenario(find_town(str(corner)), folder / "broken", "", LOOP)
+def test_an_import_says_it_too(wcsim: Run, folder: Path, corner_town) -> None:
+    broken = hostile.scenario(corner_town, folder / "broken", "", LOOP)
     result = wcsim("town", "import", "--sumocfg", broken, "--name", "mine")
     assert result.code == 1 and "testing the first steps in SUMO" in result.err
     assert "a.add.xml: SUMO cannot run this scenario" in result.out and "nowhere" in result.out

@@ -29,7 +29,7 @@ from wcsim.log.records import EpochBegun
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.states import ClientProcessState, ClientStatusReport, LaunchProcessStates, ProcessRestartRules
 from wcsim.server.specs import RunInfo
-from wcsim.towns.scenario.town import find_town, streets_hash
+from wcsim.towns.scenario.town import streets_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 
 SMALL = (
@@ -94,16 +94,15 @@ STEPS = 8
 
 
 @pytest.fixture
-def halfway(tmp_path, corner):
+def halfway(tmp_path, corner, corner_town):
     """A run of two clients, of which the first is done, and its town."""
-    town = find_town(str(corner))
     words = ("wcsim", "train", "--town", str(corner), "--preset", "dqn")
-    info = RunInfo(seed=1, town="corner", town_sha256=streets_hash(town), command=words)
+    info = RunInfo(seed=1, town="corner", town_sha256=streets_hash(corner_town), command=words)
     clients = resolve_clients(TrainClientsOptions(clients="patch,fig6", steps=STEPS, preset="dqn"))
     configs, world = {client.name: client.config for client in clients}, clients[0].config
     folder = create_group_run_folder(tmp_path / "run", world, make_run_manifest(world, info), configs)
     create_run_folder(folder.path / "patch", world, make_run_manifest(world, info)).with_status("done", STEPS)
-    return ResolvedGroupRun(clients=clients, out=folder.path, info=info, resume=True), town
+    return ResolvedGroupRun(clients=clients, out=folder.path, info=info, resume=True), corner_town
 
 
 class NoProcesses:

@@ -10,13 +10,13 @@ from wcsim.cli.training.resume import _Options, _resumed
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
-from wcsim.towns.scenario.town import find_town, streets_hash
+from wcsim.towns.scenario.town import streets_hash
 
 
 @pytest.fixture
-def run(tmp_path, corner):
+def run(tmp_path, corner, corner_town):
     command = ("wcsim", "train-q", "--town", str(corner))
-    info = RunInfo(seed=1, town="corner", town_sha256=streets_hash(find_town(str(corner))), command=command)
+    info = RunInfo(seed=1, town="corner", town_sha256=streets_hash(corner_town), command=command)
     config = RunConfig.model_validate({"learn": {"total_steps": 100}})
     return create_run_folder(tmp_path / "run", config, make_run_manifest(config, info)).path
 
@@ -44,9 +44,8 @@ def test_a_process_that_ends_between_two_files_leaves_a_run_that_goes_on(run, mo
     assert steps_of(run, 300) == steps_of(run) == 300
 
 
-def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, tmp_path, capsys):
-    town = find_town(str(corner))
-    info = RunInfo(seed=1, town=str(corner), town_sha256=streets_hash(town))
+def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, corner_town, tmp_path, capsys):
+    info = RunInfo(seed=1, town=str(corner), town_sha256=streets_hash(corner_town))
     refused = {"quick": ("--steps 40000", "learns in 2 rounds"), "dqn": ("--cluster local", "learns from every step")}
     for preset, (typed, told) in refused.items():
         config = resolve(resolve(preset), settings_from_learner(resolve(preset)))

@@ -25,7 +25,6 @@ from wcsim.config import resolve
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, WorkersError
 from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import HERE, WorkerPoolSettings
-from wcsim.towns.scenario.town import find_town
 
 Show = Callable[[RoundProgress], object]
 
@@ -48,21 +47,21 @@ def stopped(policy: str) -> Callable[..., Path]:
     return train
 
 
-def test_what_was_stopped_before_its_first_segment_leaves_nothing(run, corner, monkeypatch):
+def test_what_was_stopped_before_its_first_segment_leaves_nothing(run, corner_town, monkeypatch):
     monkeypatch.setattr(train_rounds, "train_danger", stopped(""))
     with pytest.raises(NothingSavedInterrupt, match="first segment"):
-        train_single_network(run, find_town(str(corner)), machines=HERE)
+        train_single_network(run, corner_town, machines=HERE)
     assert not run.out.parent.exists()
 
 
-def test_what_was_stopped_later_is_kept(run, corner, monkeypatch):
+def test_what_was_stopped_later_is_kept(run, corner_town, monkeypatch):
     monkeypatch.setattr(train_rounds, "train_danger", stopped("round-000"))
     with pytest.raises(InterruptedRunError):
-        train_single_network(run, find_town(str(corner)), machines=HERE)
+        train_single_network(run, corner_town, machines=HERE)
     assert (run.out / "policies" / "round-000").is_dir()
 
 
-def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corner, monkeypatch, capsys):
+def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corner_town, monkeypatch, capsys):
     def train(run: ResolvedRun, town: object, machines: WorkerPoolSettings, show: Show, stage: object) -> Path:
         for back in (1, 2):
             show(RoundProgress(round=0, rounds=3, segments=back, of=2))
@@ -71,14 +70,14 @@ def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corn
         return run.out
 
     monkeypatch.setattr(train_rounds, "train_danger", train)
-    train_single_network(run, find_town(str(corner)), machines=HERE)
+    train_single_network(run, corner_town, machines=HERE)
     driven, learned = capsys.readouterr().err.splitlines()
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments: learning, about \d+ s left", driven)
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments, 7 updates, loss 0.5000, about \d+ s left", learned)
 
 
 def test_the_work_of_rounds_adds_up():
-    config = resolve("quick", ("collect.rounds=3",))
+    config = resolve("quick", "collect.rounds=3")
     of = config.collect.segments
     shares = [
         compute_finished_share(RoundProgress(round=0, rounds=3, segments=back, of=of), config) for back in range(of + 1)
@@ -90,7 +89,7 @@ def test_the_work_of_rounds_adds_up():
         shares.append(compute_finished_share(replace(now, updates=config.danger.updates * (number + 1)), config))
     assert shares[0] == 0.0 and shares[-1] == pytest.approx(1.0)
     assert shares == sorted(shares)
-    without = resolve("quick", ("collect.segments=0",))
+    without = resolve("quick", "collect.segments=0")
     assert compute_finished_share(RoundProgress(round=1, rounds=2, segments=0, of=0), without) == pytest.approx(0.5)
 
 
@@ -100,7 +99,7 @@ def test_a_demo_says_what_its_settings_make_it_do():
     assert f"{config.collect.rounds} rounds" in told and f"{config.danger.updates} updates" in told
     assert "learns from the oracle's labels, not rewards" in told
     assert "from crashes that happened" in DANGER_ROUNDS.describe(resolve("reward"))
-    assert DANGER_ROUNDS.describe(resolve("quick", ("collect.rounds=1",))).startswith("1 round of ")
+    assert DANGER_ROUNDS.describe(resolve("quick", "collect.rounds=1")).startswith("1 round of ")
 
 
 CURED = [DiskFullError("x: no room"), OSError(errno.ENOSPC, "No space left on device"), WorkersError("head is dead")]

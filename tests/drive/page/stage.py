@@ -22,6 +22,7 @@ ADDRESS = "http://127.0.0.1:9/"
 KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 PAD = "window.pads = []; navigator.getGamepads = () => window.pads;"
 PATIENCE_MS = 60_000
+Heard = list[dict[str, Any]]
 STEADY = 4  # so many alike, one after the other, are what the page says of its stick now
 REST = (0.0, 0.0)
 PRESSED = ("ArrowUp", "ArrowDown", "Control", "Meta", "Space", "Enter", "b", "o", "1", "2", "3")
@@ -86,7 +87,7 @@ class PageAlone:
 
     def __init__(self, context: Any, file: str) -> None:
         self._file = file
-        self.said: list[dict[str, Any]] = []
+        self.said: Heard = []
         self.errors: list[str] = []
         self._socket: Any = None
         self._asked = 0
@@ -175,17 +176,17 @@ class Stage(PageAlone):
         """What it says of whether somebody looks at it."""
         return bool(self._sticks()[-1]["away"])
 
-    def heard(self, say: str) -> list[dict[str, Any]]:
+    def heard(self, say: str) -> Heard:
         """What it has said of this kind since it was asked last."""
         self.catch_up()
         found = [message for message in self.said if message["say"] == say]
         self.said.clear()
         return found
 
-    def _sticks(self) -> list[dict[str, Any]]:
+    def _sticks(self) -> Heard:
         self.catch_up()
         self.said.clear()
-        newest: list[dict[str, Any]] = []
+        newest: Heard = []
 
         def is_steady() -> bool:
             newest[:] = [message for message in self.said if message["say"] == "stick"][-STEADY:]

@@ -1,7 +1,7 @@
 """What a person drove is kept, and made again to the last bit."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,7 +35,7 @@ class Kept:
 
     def __init__(self, start: DriveStart, path: Path) -> None:
         self.news: list[RecorderStatus] = []
-        self.session = DriveSession(start)
+        self.path, self.session = path, DriveSession(start)
         self.session.add_observer(SessionRecorder(self.session, iter_unused_paths(path), self.news.append))
 
     def drive(self, ticks: int, more: Wish | None = None) -> None:
@@ -45,11 +45,29 @@ class Kept:
     def files(self) -> list[Path]:
         return list(dict.fromkeys(Path(news.file) for news in self.news if news.file))
 
+    def read(self) -> DriveRecording:
+        """What is in its file, once it is over."""
+        self.session.close()
+        return read_drive(self.path)
+
+    def again(self) -> DriveRecording:
+        self.session.close()
+        return same_again(self.path)
+
+
+Keep = Callable[..., Kept]
+
 
 @pytest.fixture
-def kept(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Kept]:
+def keep(corner: Path, tmp_path: Path) -> Keep:
+    """Begins a drive in the little town that is kept."""
+    return lambda **start: Kept(DriveStart(town=str(corner), seed=4, **start), tmp_path / "a.drive")
+
+
+@pytest.fixture
+def kept(keep: Keep, monkeypatch: pytest.MonkeyPatch) -> Iterator[Kept]:
     monkeypatch.setattr(starting, "LONGEST_STEPS", 45)
-    drive = Kept(DriveStart(town=str(corner), seed=4), tmp_path / "a.drive")
+    drive = keep()
     yield drive
     drive.session.close()
 
@@ -120,21 +138,19 @@ def test_a_drive_with_everything_in_it_is_made_again_to_the_last_bit(kept: Kept,
     assert not kept.news[-1].on and "20 ticks" in kept.news[-1].log
 
 
-def test_how_the_stick_was_shaped_before_a_world_is_in_its_file(corner: Path, tmp_path: Path) -> None:
-    kept = Kept(DriveStart(town=str(corner), seed=4, speed=0.5), tmp_path / "a.drive")
-    kept.drive(3)
-    kept.session.close()
-    notes = [note for note in same_again(tmp_path / "a.drive").events if note.kind == EventKind.STICK_SHAPE]
+def test_how_the_stick_was_shaped_before_a_world_is_in_its_file(keep: Keep) -> None:
+    drive = keep(speed=0.5)
+    drive.drive(3)
+    notes = [note for note in drive.again().events if note.kind == EventKind.STICK_SHAPE]
     assert [note.detail for note in notes] == ["speed 0.5, sensitivity 1"]
 
 
-def test_a_change_that_is_left_out_is_noticed(kept: Kept, tmp_path: Path) -> None:
+def test_a_change_that_is_left_out_is_noticed(kept: Kept) -> None:
     """Each of what is noted matters: without it the drive is another one."""
     kept.drive(10)
     kept.session.change_user("slow")
     kept.drive(10)
-    kept.session.close()
-    drive = read_drive(tmp_path / "a.drive")
+    drive = kept.read()
     assert verify(drive).mismatches == 0
     kept_records = tuple(record for record in drive.records if not isinstance(record, Respawned | Dismissed))
     first, *others = (record for record in kept_records if isinstance(record, Admitted))
@@ -143,43 +159,39 @@ def test_a_change_that_is_left_out_is_noticed(kept: Kept, tmp_path: Path) -> Non
     assert verify(left_out).mismatches > 5
 
 
-def test_ways_end_as_they_did(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ways_end_as_they_did(keep: Keep, monkeypatch: pytest.MonkeyPatch) -> None:
     """The next way begins where the user beside says that this one is over."""
     monkeypatch.setattr(ego, "GOAL_RANGE_M", (2.0, 5.0))
-    drive = Kept(DriveStart(town=str(corner), seed=4, policy="follow"), tmp_path / "a.drive")
+    drive = keep(policy="follow")
     session = drive.session
     for _ in range(150):
         session.tick(Wish(stick=session.client.user))  # a person, who drives as the user would
-    session.close()
-    made = same_again(tmp_path / "a.drive")
+    made = drive.again()
     assert sum(tick.arrived for tick in made.ticks) >= 2 and not any(tick.intent for tick in made.ticks)
     late = [with_fields(tick, arrived=False) for tick in made.ticks]
     firsts = made.records[:2]
     assert verify(replace(made, records=(*firsts, *late))).mismatches >= 2, "an end that differs is noticed"
 
 
-def test_a_person_is_patient_and_a_user_is_not(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_person_is_patient_and_a_user_is_not(keep: Keep, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     user = tmp_path / "hasty.toml"
     user.write_text('base = "competent"\ngive_up_s = 1.0\n')
-    drive = Kept(DriveStart(town=str(corner), seed=4, policy="zero", profile=str(user)), tmp_path / "a.drive")
+    drive = keep(policy="zero", profile=str(user))
     drive.drive(90)
     drive.session.drive_by(DriverKind.SIMULATED)
     drive.drive(5)
     drive.session.assist(False)
     drive.drive(15)
-    drive.session.close()
-    made = same_again(tmp_path / "a.drive")
+    made = drive.again()
     gave_up = [number for number, tick in enumerate(made.ticks) if tick.gave_up]
     assert gave_up and gave_up[0] >= 90, "who stood for 9 s was a person"
     monkeypatch.setattr(replayed, "_let_wait", lambda *_: None)
     assert verify(made).mismatches > 10
 
 
-def test_a_person_who_was_kept_is_a_user(kept: Kept, tmp_path: Path) -> None:
+def test_a_person_who_was_kept_is_a_user(kept: Kept) -> None:
     kept.drive(20)
-    kept.session.close()
-    user = find_user(f"recorded:{tmp_path / 'a.drive'}")
-    drive = read_drive(tmp_path / "a.drive")
+    drive, user = kept.read(), find_user(f"recorded:{kept.path}")
     assert not hasattr(user, "reaction_s")
     assert user.at(np.array([0.5]))[0] == pytest.approx((drive.ticks[5].stick.x, drive.ticks[5].stick.y))
 
@@ -196,19 +208,18 @@ def test_a_full_disk_ends_the_file_and_never_the_drive(
     assert kept.session.ticks == 20
     kept.session.again()
     kept.drive(3)
-    kept.session.close()
-    assert len(same_again(tmp_path / "a.drive").ticks) == 10
+    assert len(kept.again().ticks) == 10
     assert len(same_again(tmp_path / "a-2.drive").ticks) == 3, "another world is another attempt"
 
 
-def test_a_drive_beside_a_recorded_user_is_not_kept_and_says_so(kept: Kept, tmp_path: Path) -> None:
+def test_a_drive_beside_a_recorded_user_is_not_kept_and_says_so(kept: Kept) -> None:
     kept.drive(10)
     kept.session.again()
-    kept.session.change_user(f"recorded:{tmp_path / 'a.drive'}")
+    kept.session.change_user(f"recorded:{kept.path}")
     assert not kept.news[-1].on and "is a recording" in kept.news[-1].told
     kept.drive(3)
     kept.session.close()
-    assert kept.files() == [tmp_path / "a.drive"]
+    assert kept.files() == [kept.path]
 
 
 def test_a_drive_that_never_moved_leaves_no_file(kept: Kept, tmp_path: Path) -> None:
@@ -232,8 +243,7 @@ def test_a_drive_in_a_generated_scene_is_made_again(tmp_path: Path, profile: str
         drive.session.tick(Wish(stick=Joystick(0.1, 0.8)))
     drive.session.drive_by(DriverKind.SIMULATED)
     drive.drive(10)
-    drive.session.close()
-    made = same_again(tmp_path / "a.drive")
+    made = drive.again()
     family, seed, _ = made.about.scene.split()
     assert made.header.town_name == f"{family}-{seed}" and not made.about.profile
     (sat,) = (record for record in made.records if isinstance(record, Admitted))
@@ -248,14 +258,13 @@ def test_a_scene_that_this_wcsim_draws_otherwise_is_refused() -> None:
             _made_scene(text)
 
 
-def test_of_a_person_the_simulated_stretches_are_left_out_of_what_was_wanted(kept: Kept, tmp_path: Path) -> None:
+def test_of_a_person_the_simulated_stretches_are_left_out_of_what_was_wanted(kept: Kept) -> None:
     kept.drive(8)
     kept.session.drive_by(DriverKind.SIMULATED)
     kept.drive(8)
     kept.session.drive_by(DriverKind.PERSON)
     kept.drive(8)
-    kept.session.close()
-    made = with_shadow(seen_drive(read_drive(tmp_path / "a.drive")), find_builtin_profile("competent"))
+    made = with_shadow(seen_drive(kept.read()), find_builtin_profile("competent"))
     assert made.knows_intents
     assert [(tick.tick, tick.episode) for tick in made.ticks] == [
         *((number, 0) for number in range(1, 9)),
@@ -267,8 +276,7 @@ def test_of_a_person_the_simulated_stretches_are_left_out_of_what_was_wanted(kep
 def test_an_episode_of_a_suite_with_a_handover_is_made_again(tmp_path: Path) -> None:
     drive = Kept(DriveStart(suite="dev", block=16, profile=""), tmp_path / "a.drive")
     drive.drive(60)
-    drive.session.close()
-    made = same_again(tmp_path / "a.drive")
+    made = drive.again()
     (sat,) = (record for record in made.records if isinstance(record, Admitted))
     assert made.about.episode == "dev 16.0" and sat.spec.start is not None
     drivers = [tick.intent is not None for tick in made.ticks]

@@ -17,6 +17,7 @@ from wcsim.errors import ConfigError, DiskFullError, PolicyError, TownError, Wcs
 from wcsim.log.drive import read_drive
 
 Begin = Callable[[OpenStudy], Participant]
+Opened = Callable[..., OpenStudy]
 
 
 @pytest.fixture
@@ -32,12 +33,20 @@ def begin() -> Iterator[Begin]:
         yield new
 
 
-def opened(corner: Path, folder: Path, participant: int = 2, text: str = STUDY) -> OpenStudy:
-    return open_study(str(write_study(folder, corner, text)), participant, folder / "out")
+@pytest.fixture
+def opened(corner: Path, tmp_path: Path) -> Opened:
+    def study(participant: int = 2, text: str = STUDY) -> OpenStudy:
+        return open_study(str(write_study(tmp_path, corner, text)), participant, tmp_path / "out")
+
+    return study
 
 
-def test_a_participant_goes_through_all_of_it(corner: Path, tmp_path: Path, begin: Begin) -> None:
-    study = opened(corner, tmp_path)
+def column(study: OpenStudy, name: str = "block") -> list[str]:
+    return [row[name] for row in _participant_rows(study)]
+
+
+def test_a_participant_goes_through_all_of_it(opened: Opened, begin: Begin) -> None:
+    study = opened()
     assert study.order == "more>alone"
     person = begin(study)
     assert (person.view.kind, person.view.title, person.view.button) == (StepKind.WELCOME, "A tiny study", "Continue")
@@ -76,12 +85,12 @@ def test_a_participant_goes_through_all_of_it(corner: Path, tmp_path: Path, begi
     assert (person.view.kind, person.view.told) == (StepKind.END, ("Thanks.", "Everything is saved."))
 
     rows = _participant_rows(study)
-    assert [row["block"] for row in rows] == ["practice", "more", "alone", "end"]
-    assert [row["part"] for row in rows] == ["0", "1", "2", ""]
-    assert [row["ended"] for row in rows] == ["minutes", "stopped", "minutes", ""]
-    assert [row["assistance"] for row in rows] == ["on", "on", "off", ""]
-    assert [row["answer_effort"] for row in rows] == ["", "7", "1", ""]
-    assert [row["answer_again"] for row in rows] == ["", "", "no", ""]
+    assert column(study) == ["practice", "more", "alone", "end"]
+    assert column(study, "part") == ["0", "1", "2", ""]
+    assert column(study, "ended") == ["minutes", "stopped", "minutes", ""]
+    assert column(study, "assistance") == ["on", "on", "off", ""]
+    assert column(study, "answer_effort") == ["", "7", "1", ""]
+    assert column(study, "answer_again") == ["", "", "no", ""]
     assert rows[3]["answer_best"] == "with more"
     assert rows[2]["kpi1"] == "0.00000" or float(rows[2]["kpi1"]) < 0.2
     assert float(rows[2]["distance_m"]) > 1.0 and rows[2]["level"] == "1" and rows[1]["level"] == "1.5"
@@ -90,8 +99,8 @@ def test_a_participant_goes_through_all_of_it(corner: Path, tmp_path: Path, begi
     assert len(drive.ticks) == 30 and verify(drive).mismatches == 0
 
 
-def test_who_stops_goes_on_where_it_was_left(corner: Path, tmp_path: Path, begin: Begin) -> None:
-    study = opened(corner, tmp_path)
+def test_who_stops_goes_on_where_it_was_left(opened: Opened, begin: Begin) -> None:
+    study = opened()
     person = begin(study)
     person.until(StepKind.ASK)
     person.close()  # driven, and not answered
@@ -110,7 +119,7 @@ def test_who_stops_goes_on_where_it_was_left(corner: Path, tmp_path: Path, begin
     person.press()
     assert (person.view.kind, person.view.where) == (StepKind.READ, "Part 2 of 2")
     person.until(StepKind.END)
-    assert [row["block"] for row in _participant_rows(study)] == ["practice", "more", "alone", "end"]
+    assert column(study) == ["practice", "more", "alone", "end"]
     assert _participant_rows(study)[1]["answer_effort"] == "4"
     assert {path.name for path in study.folder.glob("*.drive")} == {
         "0-practice.drive",
@@ -120,16 +129,14 @@ def test_who_stops_goes_on_where_it_was_left(corner: Path, tmp_path: Path, begin
     }
     assert _participant_rows(study)[2]["recording"].endswith("2-alone-2.drive"), "that of the drive that counts"
     assert begin(study).view.kind is StepKind.END
-    other = begin(opened(corner, tmp_path, 1))
+    other = begin(opened(1))
     assert other.view.kind is StepKind.WELCOME
     other.close()
 
 
-def test_figures_that_are_in_the_table_are_not_taken_for_another_drive(
-    corner: Path, tmp_path: Path, begin: Begin
-) -> None:
+def test_figures_that_are_in_the_table_are_not_taken_for_another_drive(opened: Opened, begin: Begin) -> None:
     """A pilot whose rows were removed from the table is driven anew."""
-    study = opened(corner, tmp_path)
+    study = opened()
     person = begin(study)
     person.until(StepKind.ASK)
     kept = study.folder / "1-more.csv"
@@ -143,10 +150,8 @@ def test_figures_that_are_in_the_table_are_not_taken_for_another_drive(
     assert begin(study).lead._steps[1].kind is StepKind.READ
 
 
-def test_a_page_that_comes_in_the_middle_of_a_rest_is_told_what_is_left(
-    corner: Path, tmp_path: Path, begin: Begin
-) -> None:
-    person = begin(opened(corner, tmp_path))
+def test_a_page_that_comes_in_the_middle_of_a_rest_is_told_what_is_left(opened: Opened, begin: Begin) -> None:
+    person = begin(opened())
     person.until(StepKind.REST)
     waits_s = []
     for _ in range(12):
@@ -161,10 +166,8 @@ def test_a_page_that_comes_in_the_middle_of_a_rest_is_told_what_is_left(
     assert person.view.kind is StepKind.READ
 
 
-def test_help_that_is_asked_for_in_a_pause_is_in_the_row_of_its_block(
-    corner: Path, tmp_path: Path, begin: Begin
-) -> None:
-    study = opened(corner, tmp_path)
+def test_help_that_is_asked_for_in_a_pause_is_in_the_row_of_its_block(opened: Opened, begin: Begin) -> None:
+    study = opened()
     person = begin(study)
     person.until(StepKind.DRIVE)
     person.drive(5)
@@ -175,9 +178,9 @@ def test_help_that_is_asked_for_in_a_pause_is_in_the_row_of_its_block(
     assert _participant_rows(study)[0]["helps"] == "1", "one call a tick counts"
 
 
-def test_arrivals_end_a_part(corner: Path, tmp_path: Path, begin: Begin) -> None:
+def test_arrivals_end_a_part(opened: Opened, begin: Begin) -> None:
     text = STUDY.replace('name = "alone"', 'name = "alone"\narrivals = 1')
-    person = begin(opened(corner, tmp_path, 1, text))
+    person = begin(opened(1, text))
     person.until(StepKind.READ)
     person.press()
     person.drive()
@@ -186,14 +189,14 @@ def test_arrivals_end_a_part(corner: Path, tmp_path: Path, begin: Begin) -> None
     person.session.metrics = person.session.metrics._replace(arrivals=1)
     assert person.drive() == 1
     person.answer(0, 0)
-    assert _participant_rows(opened(corner, tmp_path, 1, text))[1]["ended"] == "arrivals"
+    assert _participant_rows(opened(1, text))[1]["ended"] == "arrivals"
     person.close()
 
 
 def test_answers_that_cannot_be_written_are_asked_for_again(
-    corner: Path, tmp_path: Path, begin: Begin, monkeypatch: pytest.MonkeyPatch
+    opened: Opened, begin: Begin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    study = opened(corner, tmp_path)
+    study = opened()
     person = begin(study)
     with monkeypatch.context() as full:
         full.setattr(study_lead, "append_row", lambda *_: (_ for _ in ()).throw(DiskFullError("no room")))
@@ -202,14 +205,14 @@ def test_answers_that_cannot_be_written_are_asked_for_again(
             person.answer(0, 0)
     assert any("no room" in line and "kpi" not in line for line in person.said), "the figures are not lost"
     person.answer(0, 0)
-    assert [row["block"] for row in _participant_rows(study)] == ["more"]
+    assert column(study) == ["more"]
     person.close()
 
 
 def test_a_street_that_cannot_be_opened_may_be_tried_again(
-    corner: Path, tmp_path: Path, begin: Begin, monkeypatch: pytest.MonkeyPatch
+    opened: Opened, begin: Begin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    person = begin(opened(corner, tmp_path))
+    person = begin(opened())
     with monkeypatch.context() as gone:
         gone.setattr(study_lead, "study_start", lambda *_: (_ for _ in ()).throw(TownError("the town is gone")))
         person.press()
@@ -244,27 +247,27 @@ def test_a_street_that_cannot_be_opened_may_be_tried_again(
     ],
 )
 def test_what_cannot_be_is_refused_before_anybody_drives(
-    corner: Path, tmp_path: Path, change: tuple[str, str], error: type[Exception], told: str
+    opened: Opened, change: tuple[str, str], error: type[Exception], told: str
 ) -> None:
     assert change[0] in STUDY
     with pytest.raises(error, match=told) as refused:
-        opened(corner, tmp_path, 1, STUDY.replace(*change))
+        opened(1, STUDY.replace(*change))
     assert "\n" not in str(refused.value)
 
 
-def test_a_study_that_is_not_there_or_another_one_is_refused(corner: Path, tmp_path: Path, begin: Begin) -> None:
+def test_a_study_that_is_not_there_or_another_one_is_refused(opened: Opened, begin: Begin) -> None:
     for name in ("nothing", "a" * 5000, "~nobody-is-called-so/study.toml"):
         with pytest.raises(ConfigError, match="there is no such study; expected assistance"):
             open_study(name, 1)
     with pytest.raises(ConfigError, match="--participant 0: expected 1 to 9999"):
         open_study("assistance", 0)
-    person = begin(opened(corner, tmp_path))
+    person = begin(opened())
     person.until(StepKind.ASK)
     person.close()
     with pytest.raises(ConfigError, match="belongs to another study file"):
-        opened(corner, tmp_path, 3, STUDY.replace("Thanks.", "Thank you."))
+        opened(3, STUDY.replace("Thanks.", "Thank you."))
     with pytest.raises(ConfigError, match="its columns are not those of this study"):
-        opened(corner, tmp_path, 3, STUDY.replace('name = "effort"', 'name = "work"'))
+        opened(3, STUDY.replace('name = "effort"', 'name = "work"'))
 
 
 def test_a_class_that_a_study_names_is_loaded_only_when_it_is_named_again(
@@ -289,12 +292,10 @@ def test_the_study_that_is_shipped_can_begin(tmp_path: Path) -> None:
     assert read_rows(study.table, table_columns(study.file)) == ()
 
 
-def test_each_part_is_in_the_table_where_questions_come_at_the_end_alone(
-    corner: Path, tmp_path: Path, begin: Begin
-) -> None:
+def test_each_part_is_in_the_table_where_questions_come_at_the_end_alone(opened: Opened, begin: Begin) -> None:
     first, *_ = STUDY.split("[[questions]]")
     text = f"{first}[[questions]]{STUDY.split('[[questions]]')[3]}"
-    study = opened(corner, tmp_path, text=text)
+    study = opened(text=text)
     person = begin(study)
     person.until(StepKind.END)
-    assert [row["block"] for row in _participant_rows(study)] == ["practice", "more", "alone", "end"]
+    assert column(study) == ["practice", "more", "alone", "end"]

@@ -15,6 +15,7 @@ from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
 
+Message = dict[str, Any]
 PATIENCE_S = 400.0  # on a busy machine; nothing is asserted of how long it takes
 
 
@@ -60,7 +61,7 @@ class FakePage:
     def say(self, say: str, **more: object) -> None:
         self.socket.send(json.dumps({"say": say, **more}))
 
-    def until(self, wanted: Callable[[dict[str, Any]], bool], patience_s: float = PATIENCE_S) -> dict[str, Any]:
+    def until(self, wanted: Callable[[Message], bool], patience_s: float = PATIENCE_S) -> Message:
         """The first message that is wanted."""
         end_s = time.monotonic() + patience_s
         while time.monotonic() < end_s:
@@ -72,23 +73,23 @@ class FakePage:
                     return message
         raise AssertionError(f"did not come; the last were {self.heard[-3:]}")
 
-    def _read(self) -> dict[str, Any] | None:
+    def _read(self) -> Message | None:
         data = self.socket.recv(timeout=0.05)
         if isinstance(data, bytes):
             self.pictures += 1
             self.say("shown", number=int.from_bytes(data[:4], "little"))
             return None
-        message: dict[str, Any] = json.loads(data)
+        message: Message = json.loads(data)
         self.heard = [*self.heard[-50:], message]
         return message
 
-    def state(self, wanted: Callable[[dict[str, Any]], bool] = lambda _: True) -> dict[str, Any]:
+    def state(self, wanted: Callable[[Message], bool] = lambda _: True) -> Message:
         return self.until(lambda message: message["say"] == "state" and wanted(message))
 
-    def role(self, *, drives: bool) -> dict[str, Any]:
+    def role(self, *, drives: bool) -> Message:
         return self.until(lambda message: message["say"] == "role" and message["drives"] == drives)
 
-    def drive_off(self) -> dict[str, Any]:
+    def drive_off(self) -> Message:
         """Hold the stick ahead, once it has been at rest, till the chair drives."""
         self.stick = (0.0, 0.0)
         self.state(lambda state: not state["let_go"])

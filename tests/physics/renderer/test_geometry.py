@@ -37,6 +37,7 @@ from wcsim.physics.sensors.camera_geometry import look_along
 from wcsim.types import ActorKind, ClassId, GroundPaint, StreetMesh
 
 ANGLE = st.floats(-math.pi, math.pi)
+LENS = Pinhole(width_px=160, height_px=120, focal_px=80.0, near_m=0.1, range_m=40.0)
 
 
 @pytest.fixture(scope="module")
@@ -64,12 +65,11 @@ def test_a_store_joined_from_parts_draws_what_the_whole_draws():
     street = strip_street().mesh
     end = len(street.chunk_faces) - 1
     parts = [GeometryStore(chunks_of(street, chunks)) for chunks in (range(end // 2), range(end // 2, end))]
-    lens = Pinhole(width_px=160, height_px=120, focal_px=80.0, near_m=0.1, range_m=40.0)
     nobody = actor_instances(())
     for x_m, yaw_rad in ((10.0, 0.0), (35.0, 0.4), (60.0, 2.5)):
         eye = look_along((x_m, 5.5, 1.2), yaw_rad, -0.2)
-        whole = FreeCamera(street, lens).look(eye, nobody)
-        joined = FreeCamera(GeometryStore.joined(parts), lens).look(eye, nobody)
+        whole = FreeCamera(street, LENS).look(eye, nobody)
+        joined = FreeCamera(GeometryStore.joined(parts), LENS).look(eye, nobody)
         assert (joined.class_id == whole.class_id).mean() > 0.999  # equal depths are drawn in another order
         assert np.abs(joined.depth_m - whole.depth_m).max() < 1e-3
         assert len(np.unique(whole.class_id)) >= 4
@@ -81,15 +81,14 @@ def test_paint_changes_colours_on_the_road_alone_and_neither_depth_nor_class():
     house_m = line_m + np.array([52.0, 12.0, 0.0])  # within a house, where nobody sees it
     quads_W_m = np.concatenate([line_m, house_m]).astype(np.float32)
     paint = GroundPaint(quads_W_m=quads_W_m, mark=np.zeros(len(quads_W_m), np.uint8))
-    lens = Pinhole(width_px=160, height_px=120, focal_px=80.0, near_m=0.1, range_m=40.0)
     eye, walker = look_along((-4.0, 0.5, 1.2), 0.0, -0.2), actor_instances((actor(ActorKind.CAR, 12.0, 0.0),))
-    plain = FreeCamera(street, lens).look(eye, walker)
-    painted = FreeCamera(replace(street, paint=paint), lens).look(eye, walker)
+    plain = FreeCamera(street, LENS).look(eye, walker)
+    painted = FreeCamera(replace(street, paint=paint), LENS).look(eye, walker)
     assert np.array_equal(plain.depth_m, painted.depth_m) and np.array_equal(plain.class_id, painted.class_id)
     changed = (plain.rgb != painted.rgb).any(axis=-1)
     assert changed.sum() > 20 and set(np.unique(plain.class_id[changed])) == {ClassId.ROAD}
     parts = [GeometryStore(replace(street, paint=paint.part(np.arange(6) % 2 == k))) for k in (0, 1)]
-    joined = FreeCamera(GeometryStore.joined(parts), lens).look(eye, walker)
+    joined = FreeCamera(GeometryStore.joined(parts), LENS).look(eye, walker)
     assert np.array_equal(joined.rgb, painted.rgb)
 
 

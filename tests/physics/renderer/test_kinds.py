@@ -53,11 +53,17 @@ def test_it_is_seen_in_depth_and_class_at_the_predicted_pixel(kind, classes, sla
             assert empty.class_id[v, u] not in classes and empty.depth_m[v, u] > frame.depth_m[v, u] + 0.3
 
 
+def camera_of(store, focal_px: float, width_px: int = 160, height_px: int = 120) -> FreeCamera:
+    return FreeCamera(
+        store, Pinhole(width_px=width_px, height_px=height_px, focal_px=focal_px, near_m=0.1, range_m=60.0)
+    )
+
+
 def silhouette(store, kind, look, size) -> tuple[np.ndarray, np.ndarray]:
     """Class and depth from the side ahead, everything scaled to the same box, so that shape alone counts."""
-    camera = FreeCamera(store, Pinhole(width_px=160, height_px=120, focal_px=150.0, near_m=0.1, range_m=60.0))
     one = replace(actor(kind, 30.0, 0.0, 20.0, yaw=-2.5, speed=0.0, size=size), look=look)
-    images = camera.look(look_at((24.0, -1.0, 21.2), (30.0, 0.0, 20.8)), actor_instances([one]))
+    view = look_at((24.0, -1.0, 21.2), (30.0, 0.0, 20.8))
+    images = camera_of(store, 150.0).look(view, actor_instances([one]))
     return images.class_id, images.depth_m
 
 
@@ -83,7 +89,7 @@ def test_riders_are_riders_and_what_they_ride_is_not(store):
 
 
 def test_a_taxi_is_yellow_and_a_police_car_has_a_blue_light(store):
-    camera = FreeCamera(store, Pinhole(width_px=160, height_px=120, focal_px=120.0, near_m=0.1, range_m=60.0))
+    camera = camera_of(store, 120.0)
 
     def share(look, wanted):
         found = []
@@ -100,7 +106,7 @@ def test_a_taxi_is_yellow_and_a_police_car_has_a_blue_light(store):
 
 def legs(store, phase_m: float, speed: float, size=(0.29, 0.51, 1.78)) -> float:
     """How far apart the feet are along the way, metres, seen from the side."""
-    camera = FreeCamera(store, Pinhole(width_px=240, height_px=320, focal_px=900.0, near_m=0.1, range_m=60.0))
+    camera = camera_of(store, 900.0, 240, 320)
     one = actor(ActorKind.PEDESTRIAN, 30.0 + phase_m, 0.0, 20.0, speed=speed, size=size)
     images = camera.look(look_at((30.0 + phase_m, -6.0, 20.9), (30.0 + phase_m, 0.0, 20.9)), actor_instances([one]))
     rows, columns = np.nonzero(images.class_id == ClassId.PERSON)

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from wcsim.types import ActorKind, ClassId, SignalHead, SignalState
 
 CAMERA = Pinhole(width_px=120, height_px=160, focal_px=500.0, near_m=0.1, range_m=40.0)
 EYE = (10.0, 0.0, 1.1)
+EYES = np.array([EYE])
 HEAD_W_M = (18.0, 0.0, 2.7)
 
 
@@ -66,7 +68,7 @@ def lit(rgb: np.ndarray, class_id: np.ndarray) -> tuple[set[str], dict[str, floa
     ],
 )  # fmt: skip
 def test_the_letter_lights_its_lamp_in_both_renderers(renderers, letter, pedestrian, colours):
-    lamps = _SignalLamps((head(1, pedestrian),)).near(np.array([EYE]), 40.0, state("O" + letter))[0]
+    lamps = _SignalLamps((head(1, pedestrian),)).near(EYES, 40.0, state("O" + letter))[0]
     T_CW = look_at(EYE, HEAD_W_M)
     for renderer in renderers:
         out = new_images(CAMERA.width_px, CAMERA.height_px, rgb=True)
@@ -84,21 +86,20 @@ def test_the_letter_lights_its_lamp_in_both_renderers(renderers, letter, pedestr
 def test_only_heads_that_face_the_camera_and_are_near_are_drawn():
     heads = (head(), head(yaw=0.0), head(p=(60.0, 0.0, 2.7)), head(p=(14.0, 5.0, 2.7), yaw=-2.4))
     lamps = _SignalLamps(heads)
-    assert len(lamps.near(np.array([EYE]), 40.0, state("g"))[0]) == 2
-    assert len(lamps.near(np.array([EYE]), 60.0, state("g"))[0]) == 3
-    assert len(_SignalLamps(()).near(np.array([EYE]), 40.0, state("g"))[0]) == 0
+    assert len(lamps.near(EYES, 40.0, state("g"))[0]) == 2
+    assert len(lamps.near(EYES, 60.0, state("g"))[0]) == 3
+    assert len(_SignalLamps(()).near(EYES, 40.0, state("g"))[0]) == 0
 
 
 def test_a_light_that_says_nothing_or_too_little_is_dark_and_comes_back():
     lamps = _SignalLamps((head(0, tls="a"), head(3, tls="b")))
     both = (SignalState(tls_id="a", colours="rr"), SignalState(tls_id="b", colours="gggg"))
-    eye = np.array([EYE])
-    first = lamps.near(eye, 40.0, both)[0].template.tolist()
+    first = lamps.near(EYES, 40.0, both)[0].template.tolist()
     assert first[0] != first[1]
-    alone = lamps.near(eye, 40.0, both[:1])[0].template.tolist()
-    short = lamps.near(eye, 40.0, (both[0], SignalState(tls_id="b", colours="ggg")))[0].template.tolist()
+    alone = lamps.near(EYES, 40.0, both[:1])[0].template.tolist()
+    short = lamps.near(EYES, 40.0, (both[0], SignalState(tls_id="b", colours="ggg")))[0].template.tolist()
     assert alone == short and alone[0] == first[0] and alone[1] not in first
-    assert lamps.near(eye, 40.0, both)[0].template.tolist() == first
+    assert lamps.near(EYES, 40.0, both)[0].template.tolist() == first
 
 
 def test_a_rig_shows_the_lights_of_now():
@@ -122,8 +123,8 @@ def test_three_hundred_heads_cost_next_to_nothing():
     lamps = _SignalLamps(heads)
     ranges_m = itertools.cycle((40.0, 41.0))
     signals = tuple(SignalState(tls_id=f"t{k:02}", colours="rgyG" * 3) for k in range(25))
-    assert len(lamps.near(np.array([EYE]), 41.0, signals)[0]) < 30
-    assert multiple(lambda: lamps.near(np.array([EYE]), next(ranges_m), signals)) < 0.6  # about a tenth of that
+    assert len(lamps.near(EYES, 41.0, signals)[0]) < 30
+    assert multiple(lambda: lamps.near(EYES, next(ranges_m), signals)) < 0.6  # about a tenth of that
 
 
 def test_the_kernel_s_numbers_are_those_of_the_paints():
@@ -139,8 +140,7 @@ def test_brake_lights_and_turn_lamps_shine_when_sumo_says_so(store, kind):
     camera = Pinhole(width_px=320, height_px=240, focal_px=200.0, near_m=0.1, range_m=40.0)
     out = {}
     for signals in (0, 8, 1, 2):
-        one = actor(kind, 20.0, 0.0)
-        one = type(one)(**{name: getattr(one, name) for name in one.__slots__ if name != "signals"}, signals=signals)
+        one = replace(actor(kind, 20.0, 0.0), signals=signals)
         images = new_images(320, 240, rgb=True)
         back_m = 0.5 * one.size_lwh_m[0] + 5.0
         raster.render(camera, look_at((20.0 - back_m, 0.0, 1.1), (20.0, 0.0, 1.0)), actor_instances([one]), images)

@@ -21,6 +21,7 @@ from wcsim.physics.sensors.camera_geometry import look_along, look_at
 from wcsim.types import ActorKind, ClassId
 
 NOBODY = actor_instances(())
+NO_IDS = np.zeros((240, 320), np.uint8)
 
 
 def shot(renderer, T_CW, instances=NOBODY, camera=CAMERA, rgb=False):
@@ -177,13 +178,9 @@ def test_draws_from_threads_into_their_own_buffers(raster):
     "out",
     [
         Images(depth_m=np.zeros((10, 10), np.float32), class_id=np.zeros((10, 10), np.uint8)),
-        Images(depth_m=np.zeros((240, 320)), class_id=np.zeros((240, 320), np.uint8)),
-        Images(depth_m=np.zeros((240, 640), np.float32)[:, ::2], class_id=np.zeros((240, 320), np.uint8)),
-        Images(
-            depth_m=np.zeros((240, 320), np.float32),
-            class_id=np.zeros((240, 320), np.uint8),
-            rgb=np.zeros((240, 320, 4), np.uint8),
-        ),
+        Images(depth_m=np.zeros((240, 320)), class_id=NO_IDS),
+        Images(depth_m=np.zeros((240, 640), np.float32)[:, ::2], class_id=NO_IDS),
+        replace(new_images(320, 240, rgb=False), rgb=np.zeros((240, 320, 4), np.uint8)),
         replace(new_images(320, 240, rgb=False), instance=np.zeros((240, 320), np.int64)),
     ],
 )

@@ -17,7 +17,7 @@ from wcsim.config import CameraConfig
 from wcsim.core.frames import quaternion_from_ypr
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import new_images
-from wcsim.physics.renderer.instances import ChairPose, actor_instances, chair_pose
+from wcsim.physics.renderer.instances import actor_instances, chair_pose
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig, FreeCamera
@@ -143,13 +143,10 @@ def test_colours_are_taken_only_when_asked_for(mesh):
 
 
 def test_a_chair_sees_the_others_but_not_itself(mesh):
-    def chair(seat, x):
-        q_WB = np.array([0.0, 0.0, 0.0, 1.0])
-        return ChairPose(seat=seat, p_WB_m=np.array([x, 5.5, 0.12]), q_WB=q_WB, outline=USUAL_OUTLINE)
-
+    chairs = [chair_pose(seat, plant(3.0 * seat), USUAL_OUTLINE) for seat in range(2)]
     with CameraRig(mesh, (SMALL,), seats=2) as rig:
-        me = shoot(rig, plant(), (), [chair(0, 0.0)])[0].class_id.copy()
-        both = shoot(rig, plant(), (), [chair(0, 0.0), chair(1, 3.0)], tick=1)[0].class_id
+        me = shoot(rig, plant(), (), chairs[:1])[0].class_id.copy()
+        both = shoot(rig, plant(), (), chairs, tick=1)[0].class_id
         assert not np.isin(me, (ClassId.PERSON, ClassId.DYNAMIC)).any()
         assert (both == ClassId.PERSON).any() and (both == ClassId.DYNAMIC).any()
 
@@ -240,16 +237,20 @@ def test_pictures_are_the_same_bytes_with_any_number_of_threads_and_taken_one_by
     assert taken(mesh, threads, together=True) == alone
 
 
+def rig_of(mesh, threads):
+    return CameraRig(mesh, (SMALL,), len(PLACES), threads=threads)
+
+
 def shown_of(rig, pair):
     return [(rig.frames(seat, scene)[0].depth_m.tobytes(), rig.shown_px(seat)) for seat, scene in pair.items()]
 
 
 def test_two_pictures_at_once_do_not_meet(mesh, monkeypatch):
     pair = {seat: scene for seat, scene in scenes(0).items() if scene.counted}
-    with CameraRig(mesh, (SMALL,), len(PLACES), threads=2) as rig:
+    with rig_of(mesh, 2) as rig:
         alone = shown_of(rig, pair)
     assert len(pair) == 2 and alone[0] != alone[1] and alone[0][1]
-    with CameraRig(mesh, (SMALL,), len(PLACES), threads=2) as rig:
+    with rig_of(mesh, 2) as rig:
         both, render = threading.Barrier(2, timeout=20.0), RasterRenderer.render
 
         def drawn_and_waited(*all):
@@ -266,7 +267,7 @@ def test_pictures_taken_together_are_not_taken_again(mesh, monkeypatch):
     shots = []
     render = RasterRenderer.render
     monkeypatch.setattr(RasterRenderer, "render", lambda *all: shots.append(1) or render(*all))
-    with CameraRig(mesh, (SMALL,), len(PLACES), threads=2) as rig:
+    with rig_of(mesh, 2) as rig:
         del shots[:]  # one to warm up
         now = scenes(0)
         rig.shoot_all(now)
@@ -277,7 +278,7 @@ def test_pictures_taken_together_are_not_taken_again(mesh, monkeypatch):
 
 
 def test_buffers_that_do_not_fit_are_refused_in_every_thread(mesh):
-    with CameraRig(mesh, (SMALL,), len(PLACES), threads=3) as rig:
+    with rig_of(mesh, 3) as rig:
         wrong = (new_images(40, 30, False),)
         with pytest.raises(ConfigError, match="new_images"):
             rig.shoot_all({seat: replace(scene, buffers=wrong) for seat, scene in scenes(0).items()})

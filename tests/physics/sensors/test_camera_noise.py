@@ -28,7 +28,7 @@ def stereo(**changes) -> CameraConfig:
     return camera({"depth": {**QUIET, **changes}})
 
 
-def laid_over(config: CameraConfig, depth_m=None, class_id=None, rgb=None, key: int = 1) -> Images:
+def laid_over(config: CameraConfig, depth_m=None, class_id=None, rgb=None) -> Images:
     """Noisy copies of the given pictures."""
     shape = next(image.shape[:2] for image in (depth_m, class_id, rgb) if image is not None)
     images = Images(
@@ -36,7 +36,7 @@ def laid_over(config: CameraConfig, depth_m=None, class_id=None, rgb=None, key: 
         class_id=np.full(shape, ClassId.ROAD, np.uint8) if class_id is None else np.array(class_id, np.uint8),
         rgb=None if rgb is None else np.array(rgb, np.uint8),
     )
-    _CameraNoise(config, pinhole(config)).lay_over(images, key)
+    _CameraNoise(config, pinhole(config)).lay_over(images, 1)
     return images
 
 

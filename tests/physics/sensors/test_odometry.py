@@ -16,6 +16,7 @@ from wcsim.physics.wheelchair.plant import plant_spec, varied
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.types import ClassId, Joystick
 
+SPEC = plant_spec(ChairConfig())
 EXACT = {"radius_error": 0.0, "speed_density_mps": 0.0, "turn_density_deg": 0.0}
 FINE = {**EXACT, "ticks_per_turn": 1_000_000}
 R_M, TRACK_M, TICK_S, STEPS = 0.16, 0.5, 0.1, 24
@@ -127,7 +128,7 @@ def test_wheels_turn_on_beyond_a_whole_turn(engine):
 
 
 def test_a_wheel_that_slips_is_believed():
-    ice = varied(plant_spec(ChairConfig()), {"wheel.friction": 0.05})
+    ice = varied(SPEC, {"wheel.friction": 0.05})
     with Engine(1 / 240) as engine:
         r = rigged(engine)
         r.chair.become(ice)
@@ -143,7 +144,7 @@ def test_a_wheel_that_slips_is_believed():
 
 
 def test_the_nominal_radius_is_the_configured_one_whatever_was_drawn(engine):
-    worn = varied(plant_spec(ChairConfig()), {"wheel.radius_m": 0.9 * plant_spec(ChairConfig()).wheel.radius_m})
+    worn = varied(SPEC, {"wheel.radius_m": 0.9 * SPEC.wheel.radius_m})
     r = rigged(engine)
     r.chair.become(worn)
     said, true = ridden(r.place(), FORWARD, 40)

@@ -37,7 +37,7 @@ CAP, TICKS = 20, 47
 
 def capped(folder, **changes):
     """A stand-in whose epochs end after CAP ticks."""
-    config = resolve(quick_config(), (f"world.epoch_ticks={CAP}",))
+    config = resolve(quick_config(), f"world.epoch_ticks={CAP}")
     order = stand_in_order(folder, run=str(folder / "run"), rules=BOTH, config=config, **changes)
     return replace(order, epoch_ticks=CAP)
 

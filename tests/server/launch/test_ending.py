@@ -1,10 +1,8 @@
 """A launch that ends while its world is away: clients that wait for it save their work all the same."""
 
-from dataclasses import replace
-
 import pytest
 
-from tests.server.launch.test_launcher import QUICK, launcher, standings
+from tests.server.launch.test_launcher import launcher, standings
 from tests.support.events import read_events
 
 
@@ -14,8 +12,8 @@ def test_clients_that_wait_for_a_world_which_does_not_tick_save_their_work_and_l
         if not state.stopping and all(client.status for client in state.clients):
             it.stop()
 
-    rules = replace(QUICK, world_lease_s=60.0)
-    it = launcher(tmp_path, {"a": "waits", "b": "waits"}, world=world, show=stop_when_all_wait, rules=rules)
+    clients = {"a": "waits", "b": "waits"}
+    it = launcher(tmp_path, clients, world=world, show=stop_when_all_wait, world_lease_s=60.0)
     outcome = it.run()
     assert (outcome.code, outcome.stopped) == (0, True)
     assert standings(outcome) == {"a": "stopped", "b": "stopped"}

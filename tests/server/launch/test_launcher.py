@@ -36,15 +36,7 @@ QUICK = LauncherTimeouts(
 
 
 def launcher(
-    folder,
-    clients,
-    world="",
-    members=None,
-    show=None,
-    rules=QUICK,
-    orders=False,
-    world_argv=(*STUB, "world"),
-    listen="",
+    folder, clients, world="", members=None, show=None, orders=False, world_argv=(*STUB, "world"), listen="", **rules
 ):
     """A launcher of stubs; `clients` maps names to their words."""
     place = folder / "place"
@@ -73,7 +65,7 @@ def launcher(
         for seat, (name, words) in enumerate(clients.items())
     ]
     plan = make_world_launch_plan(order, place, folder / "logs" / "world.log", world_argv)
-    return ProcessLauncher(plan, plans, folder, rules, show)
+    return ProcessLauncher(plan, plans, folder, replace(QUICK, **rules), show)
 
 
 @pytest.fixture
@@ -180,8 +172,7 @@ def test_a_world_that_hangs_is_ended_and_started_again(launch, who_had):
 
 
 def test_a_world_that_a_signal_holds_is_ended_long_before_one_that_may_be_busy(launch, who_had):
-    rules = replace(QUICK, world_lease_s=600.0, held_s=0.2)
-    outcome = launch({"a": "steps=1500"}, world="held=30x1", rules=rules)
+    outcome = launch({"a": "steps=1500"}, world="held=30x1", world_lease_s=600.0, held_s=0.2)
     assert outcome.code == 0
     assert who_had("hang") == who_had("restart") == ["world"]
 
@@ -202,22 +193,20 @@ def test_what_a_world_says_of_its_order_is_not_tried_again(launch, who_had, word
 
 
 def test_a_client_that_lost_its_seat_and_hangs_is_ended(launch, who_had):
-    rules = replace(QUICK, joining_s=8.0)  # at times it hears late that its seat is lost
-    outcome = launch({"a": "steps=30 hang=10x1"}, world="evict=9", rules=rules)
+    # At times it hears late that its seat is lost.
+    outcome = launch({"a": "steps=30 hang=10x1"}, world="evict=9", joining_s=8.0)
     assert outcome.code == 0
     assert who_had("hang") == who_had("restart") == ["a"]
 
 
 def test_a_client_that_never_takes_its_seat_is_ended(launch, who_had):
-    rules = replace(QUICK, joining_s=0.5, client_lease_s=0.3)
-    outcome = launch({"a": "steps=100000"}, members=[], rules=rules)
+    outcome = launch({"a": "steps=100000"}, members=[], joining_s=0.5, client_lease_s=0.3)
     assert outcome.code == 1
     assert set(who_had("hang")) == {"a"}
 
 
 def test_a_client_that_does_not_end_when_asked_is_killed(launch, tmp_path):
-    rules = replace(QUICK, saving_s=2.0)
-    outcome = launch({"a": "steps=100000 hang=5 deaf", "b": "exit2=20 patient"}, rules=rules)
+    outcome = launch({"a": "steps=100000 hang=5 deaf", "b": "exit2=20 patient"}, saving_s=2.0)
     assert outcome.code == 2
     assert standings(outcome)["a"] == "stopped"
     stopped = next(e for e in read_events(tmp_path) if e["event"] == "stopped")

@@ -39,6 +39,11 @@ REPLIES = [
 ]
 
 
+def received(client):
+    """What comes of a frame on its way."""
+    return m.decode_reply(m.encode_message(m.Frame(0, 3, 0, client)))
+
+
 @pytest.mark.parametrize("request_", REQUESTS, ids=lambda r: type(r).__name__)
 def test_requests_survive_the_wire(request_):
     assert m.decode_request(m.encode_message(request_)) == request_
@@ -101,7 +106,7 @@ def ended(corner):
 
 
 def test_a_snapshot_survives_the_wire(ended):
-    reply = m.decode_reply(m.encode_message(m.Frame(0, 3, 0, ended)))
+    reply = received(ended)
     assert isinstance(reply, m.Frame)
     assert reply.client == ended
     camera = reply.client.sensors.cameras[0]
@@ -113,14 +118,8 @@ def test_a_snapshot_survives_the_wire(ended):
 @pytest.mark.parametrize("spoilt", [np.full(3, -1.0), np.full(3, np.nan), np.zeros(1025)])
 def test_a_visible_truth_beyond_its_bounds_is_refused(ended, spoilt):
     visible = replace(ended.truth.visible, first_s=spoilt)
-    frame = m.encode_message(m.Frame(0, 3, 0, replace(ended, truth=replace(ended.truth, visible=visible))))
     with pytest.raises(ProtocolError):
-        m.decode_reply(frame)
-
-
-def received(client):
-    """What comes of a frame on its way."""
-    return m.decode_reply(m.encode_message(m.Frame(0, 3, 0, client)))
+        received(replace(ended, truth=replace(ended.truth, visible=visible)))
 
 
 EVENTS = ("arrived", "gave_up", "on_carriageway", "crossed", "entered_red", "help_asked")

@@ -62,7 +62,7 @@ def test_what_lies_on_this_machine_alone_is_refused():
         lambda: require_sendable_run(config, ("chair.plant=my.toml",)),
         lambda: require_sendable_run(config, ('chair.plant="my.toml"',)),
         lambda: require_sendable_run(config, users=("me.toml",)),
-        lambda: require_sendable_run(resolve("quick", ("collect.profiles=['recorded:mine.csv']",))),
+        lambda: require_sendable_run(resolve("quick", "collect.profiles=['recorded:mine.csv']")),
     ):
         with pytest.raises(ConfigError, match=r"cannot be sent; expected .* without --cluster"):
             own()

@@ -14,6 +14,7 @@ import psutil
 import pytest
 
 from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, refuse
+from tests.support.yardstick import waited
 from wcsim.core.processes import kill_workers, start_single_worker_pool
 from wcsim.errors import DiskFullError, TownError, WorkersError
 from wcsim.server.workers.machines import WorkPiece, WorkResult, _ProcessWorkers
@@ -28,8 +29,8 @@ def drop(key: str, data: bytes) -> None:
     """A result that no test reads."""
 
 
-def done_by(scheduler: WorkScheduler, keys: set[str], limit_s: float = 60.0) -> None:
-    until_s, left = time.monotonic() + limit_s, set(keys)
+def done_by(scheduler: WorkScheduler, keys: set[str]) -> None:
+    until_s, left = time.monotonic() + 60.0, set(keys)
     while left and time.monotonic() < until_s:
         left -= scheduler.wait(left, 0.2)
     assert not left
@@ -47,10 +48,7 @@ def test_ctrl_c_is_not_heard_by_a_worker_not_even_while_it_starts(capfd):
             workers.begin("process 1", work(key))
             (pid,) = workers._pools["process 1"]._processes
             os.kill(pid, signal.SIGINT)  # as a terminal does, to all
-            found: list[WorkResult] = []
-            until_s = time.monotonic() + 60.0
-            while not found and time.monotonic() < until_s:
-                found = workers.collect(0.2)
+            found = waited(lambda: workers.collect(0.2), 60.0)
             assert [(end.key, end.data is not None) for end in found] == [(key, True)]
     finally:
         workers.close()
@@ -245,13 +243,7 @@ def test_closing_leaves_no_process(tmp_path: Path):
         scheduler.submit([work("a"), work("b", hang_once, str(tmp_path / "once"))])
         done_by(scheduler, {"a"})
         time.sleep(0.3)
-    until_s = time.monotonic() + 10.0
-    while time.monotonic() < until_s:
-        left = [child for child in psutil.Process().children() if is_worker(child)]
-        if not left:
-            return
-        time.sleep(0.1)
-    raise AssertionError(left)
+    waited(lambda: not any(map(is_worker, psutil.Process().children())), 10.0)
 
 
 LEADER = """
@@ -283,7 +275,5 @@ def test_a_worker_that_does_not_hear_that_it_is_to_be_killed_is_told_again(tmp_p
     workers.stop = asked.append
     with WorkScheduler(workers, drop, least_late_s=0.05) as scheduler:
         do(scheduler, "a")
-        until_s = time.monotonic() + 20.0
-        while len(asked) < 2 and time.monotonic() < until_s:
-            time.sleep(0.01)
+        waited(lambda: len(asked) > 1, 20.0)
     assert asked[:2] == ["deaf", "deaf"]

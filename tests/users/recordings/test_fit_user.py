@@ -125,7 +125,7 @@ def test_drives_of_other_ticks_or_of_a_chair_that_takes_a_stick_otherwise_are_re
     slow = replace(drive, name="slow.drive", header=with_fields(drive.header, tick_s=0.2))
     with pytest.raises(ConfigError, match=r"slow\.drive: was driven with world\.tick_s 0\.2, plane with 0\.1; exp"):
         fit_user_to_drives([drive, slow], BASE)
-    dull = resolve("quick", ("chair.deadband=0.4",)).model_dump_json()
+    dull = resolve("quick", "chair.deadband=0.4").model_dump_json()
     with pytest.raises(ConfigError, match=r"plane: was driven with chair\.deadband 0\.08, .* with 0\.4; expected"):
         fit_user_to_drives([replace(drive, header=with_fields(drive.header, config=dull)), drive], BASE)
 

@@ -135,10 +135,14 @@ def test_numbers_are_those_of_the_result(text, folder, said):
     assert float(rows[1]["stick_travel_per_s"]) == pytest.approx(20.0)  # 30 in 1.5 s
 
 
+def failure(text, name):
+    return text.partition(f'id="{name}"')[2].partition("</details>")[0]
+
+
 def test_a_failure_has_its_pictures_or_says_why_not(text):
-    shown = text[text.index('id="f-0-0-1"') : text.index("</details>", text.index('id="f-0-0-1"'))]
+    shown = failure(text, "f-0-0-1")
     assert shown.count("<img") == 7 and "wcsim test follow" in shown
-    missing = text[text.index('id="f-0-0-0"') : text.index("</details>", text.index('id="f-0-0-0"'))]
+    missing = failure(text, "f-0-0-0")
     assert "No pictures: it went &lt;script&gt;" in missing and "<img" not in missing
 
 

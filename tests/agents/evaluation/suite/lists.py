@@ -30,11 +30,11 @@ def drawn_in(corner: Path) -> tuple[SuiteBlock, ...]:
     return tuple(free_blocks(place, wanted, 1, seed)[0] for seed in (3, 4))
 
 
-def block_of(corner: Path, part: str = "free", max_steps: int = 60, handover: int = 0) -> SuiteBlock:
+def block_of(corner: Path, max_steps: int = 60, handover: int = 0) -> SuiteBlock:
     drawn = drawn_in(corner)
     cut = {"max_steps": max_steps, "handover_step": handover}
     episodes = tuple(block.episodes[0].model_copy(update=cut) for block in drawn)
-    return drawn[0].model_copy(update={"part": part, "episodes": episodes})
+    return drawn[0].model_copy(update={"episodes": episodes})
 
 
 def order_of(corner: Path, block: SuiteBlock, judged: bool = False, late_s: float = 10.0) -> tuple[Piece, BlockSetup]:

@@ -1,5 +1,6 @@
 """A fork says what the user alone would come to, and is the same as driving there."""
 
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -34,12 +35,18 @@ def test_forks_of_every_seat_move_nothing(corner):
     assert driven({1: 0, 3: 1}) == driven({})
 
 
-def test_a_user_who_drives_off_the_kerb_crashes_in_the_fork_too(corner, ahead):
-    with open_world(corner, seed=2, spec=SeatSpec(profile=ahead, max_steps=4000)) as world:
+@contextmanager
+def at_an_edge(corner, profile, max_steps):
+    """The steps of a user who faces a kerb, and when the user alone would crash."""
+    with open_world(corner, seed=2, spec=SeatSpec(profile=profile, max_steps=max_steps)) as world:
         _face_an_edge(world)
         steps = rollout(world, {0: _users_alone(POINTS)})
         next(steps)
-        alone_s = crash_alone_s(world, 0, POINTS, 0.1)
+        yield steps, crash_alone_s(world, 0, POINTS, 0.1)
+
+
+def test_a_user_who_drives_off_the_kerb_crashes_in_the_fork_too(corner, ahead):
+    with at_an_edge(corner, ahead, 4000) as (steps, alone_s):
         assert alone_s is not None and 0.5 < alone_s < ALONE_S
         ticks = 1
         while not next(steps).after.clients[0].events.crashed:
@@ -78,10 +85,7 @@ def test_a_fork_ends_where_an_episode_does(corner, monkeypatch):
 def test_a_fork_at_the_end_of_an_episode_looks_as_far_ahead_as_any_other(corner, ahead):
     found = []
     for max_steps in (4000, 2):
-        with open_world(corner, seed=2, spec=SeatSpec(profile=ahead, max_steps=max_steps)) as world:
-            _face_an_edge(world)
-            steps = rollout(world, {0: _users_alone(POINTS)})
-            next(steps)
-            found.append(crash_alone_s(world, 0, POINTS, 0.1))
+        with at_an_edge(corner, ahead, max_steps) as (steps, alone_s):
+            found.append(alone_s)
             assert next(steps).after.clients[0].events.truncated == (max_steps == 2)
     assert found[0] is not None and found[0] == found[1]

@@ -45,7 +45,8 @@ from wcsim.supervisor.observation import make_observation_space
 KEYS = ("seg", "depth")
 CAMERA = toy_camera(16, 20)
 CONFIG = RunConfig(cameras=(CAMERA,), env=EnvConfig(window=3))
-WINDOWS = window_observation_space(make_observation_space("compact", W, H), 3)
+IMAGES = make_observation_space("compact", W, H)
+WINDOWS = window_observation_space(IMAGES, 3)
 
 
 def numbers(observation):
@@ -61,7 +62,7 @@ def test_a_window_begins_with_its_first_image_and_ends_with_the_newest():
     window.reset()
     seen = window.add(frame(9))
     assert numbers(seen) == [9, 9, 9]
-    assert window_observation_space(make_observation_space("compact", W, H), 3).contains(seen)
+    assert WINDOWS.contains(seen)
     assert numbers(trim_frame_window(seen, 2)) == [9, 9]
     with pytest.raises(PolicyError, match=r"holds 3 images.*trained on 4.*env\.window=4"):
         trim_frame_window(seen, 4)
@@ -76,8 +77,7 @@ def test_what_is_done_to_an_observation_does_not_change_the_next():
 def test_a_window_of_one_changes_nothing():
     window, seen = FrameStacker(1), frame(4)
     assert window.add(seen) is seen
-    space = make_observation_space("compact", W, H)
-    assert window_observation_space(space, 1) is space
+    assert window_observation_space(IMAGES, 1) is IMAGES
 
 
 def test_the_environment_gives_the_images_that_it_gives_one_by_one(corner):
@@ -115,7 +115,7 @@ def test_the_environment_gives_the_images_that_it_gives_one_by_one(corner):
 
 def test_a_network_says_how_many_images_it_wants_and_the_user_may_say_otherwise():
     assert default_settings_for_network(resolve("dqn")) == ("env.window=1",)
-    fig6 = resolve("dqn", ("learn.network=fig6",))
+    fig6 = resolve("dqn", "learn.network=fig6")
     assert (fig6.env.window, fig6.env.frames) == (None, 1)
     resolved = resolve(fig6, default_settings_for_network(fig6))
     assert resolved == fig6.model_copy(update={"env": fig6.env.model_copy(update={"window": 4})})
@@ -126,7 +126,7 @@ def test_a_network_says_how_many_images_it_wants_and_the_user_may_say_otherwise(
 @pytest.mark.parametrize("window", [0, 17, 1.5])
 def test_windows_have_bounds(window):
     with pytest.raises(ConfigError, match="window"):
-        resolve("dqn", (f"env.window={window}",))
+        resolve("dqn", f"env.window={window}")
 
 
 def test_the_papers_floats_have_windows_and_a_state_has_none():
@@ -225,7 +225,7 @@ def test_a_window_costs_no_more_than_its_newest_image():
         add(buffer, streets, ["limit" if step % 40 == 39 else "go"])
     assert buffer.windows.frames._frames.nbytes == (400 + 2) * 2 * H * W
     assert not buffer.windows.whole_windows
-    one = replay(400, space=make_observation_space("compact", W, H))
+    one = replay(400, space=IMAGES)
     assert one.windows.frames._frames.nbytes == 400 * 2 * H * W
 
 
@@ -255,7 +255,7 @@ def test_a_checkpoint_of_other_windows_is_refused():
     for _ in range(5):
         add(buffer, streets, ["go"])
     with pytest.raises(ValueError, match=r"end_images is uint8 \(0, 36\); expected uint8 \(0, 12\)"):
-        _check_fit(replay(400, space=make_observation_space("compact", W, H)), _replay_arrays(buffer))
+        _check_fit(replay(400, space=IMAGES), _replay_arrays(buffer))
 
 
 def test_every_image_of_a_window_is_mirrored():

@@ -33,6 +33,13 @@ def whole(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return (run / "journal").read_bytes()
 
 
+@pytest.fixture
+def kept(whole: bytes, tmp_path: Path) -> Path:
+    """The whole journal beside the run that is watched."""
+    (tmp_path / "all").write_bytes(whole)
+    return tmp_path / "all"
+
+
 class Watched:
     """A run folder whose journal grows by what a script says, whenever the follower waits for more."""
 
@@ -97,23 +104,22 @@ def test_it_goes_over_to_the_newest_epoch_when_it_is_far_behind(
     assert [chair.seat for chair in frame.chairs] == [0, 1], "who sat there before sits there still"
 
 
-def test_a_part_that_is_put_aside_is_read_to_its_end(whole: bytes, tmp_path: Path) -> None:
+def test_a_part_that_is_put_aside_is_read_to_its_end(kept: Path, tmp_path: Path) -> None:
     journal = tmp_path / "journal"
-    (tmp_path / "all").write_bytes(whole)
-    records = list(iter_journal_part_inputs(tmp_path / "all"))
+    records = list(iter_journal_part_inputs(kept))
     second = next(
         number for number, record in enumerate(records) if isinstance(record, EpochBegun) and record.epoch == 1
     )
 
     def script() -> Iterator[None]:
-        with LogWriter(journal, read_header(tmp_path / "all")) as writer:
+        with LogWriter(journal, read_header(kept)) as writer:
             for record in records[:second]:
                 writer.append(record)
             writer.append(Ended(reason=f"{EPOCH_OVER}: tick 30"))
         yield from (None for _ in range(8))
         rotate_log(journal)
         yield
-        with LogWriter(journal, read_header(tmp_path / "all")) as writer:
+        with LogWriter(journal, read_header(kept)) as writer:
             for record in records[second:]:
                 writer.append(record)
             yield from (None for _ in range(40))
@@ -143,21 +149,19 @@ def damaged(whole: bytes) -> bytearray:
     return data
 
 
-def test_a_hook_is_not_loaded_because_a_journal_names_it(whole: bytes, tmp_path: Path) -> None:
-    (tmp_path / "all").write_bytes(whole)
-    with LogWriter(tmp_path / "journal", with_fields(read_header(tmp_path / "all"), hook="own:Hook")):
+def test_a_hook_is_not_loaded_because_a_journal_names_it(kept: Path, tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "journal", with_fields(read_header(kept), hook="own:Hook")):
         pass
     with pytest.raises(ConfigError, match="a hook is code"):
         Watched(tmp_path, iter([None])).follow()
 
 
-def test_a_tail_says_who_writes(whole: bytes, tmp_path: Path) -> None:
-    (tmp_path / "all").write_bytes(whole)
-    records = [record for record in iter_journal_part_inputs(tmp_path / "all") if not isinstance(record, Ticked)]
+def test_a_tail_says_who_writes(kept: Path, tmp_path: Path) -> None:
+    records = [record for record in iter_journal_part_inputs(kept) if not isinstance(record, Ticked)]
     with LogFollower(tmp_path / "journal") as tail:
         assert tail.read() == []
         assert tail.is_written() is None
-        with LogWriter(tmp_path / "journal", read_header(tmp_path / "all")) as writer:
+        with LogWriter(tmp_path / "journal", read_header(kept)) as writer:
             for record in records:
                 writer.append(record)
             assert tail.read(2) == records[:2]
@@ -167,13 +171,12 @@ def test_a_tail_says_who_writes(whole: bytes, tmp_path: Path) -> None:
 
 
 def test_what_is_written_between_two_looks_at_a_part_that_ends_is_read(
-    whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A watcher has the lowest priority: it may stand between any two of its lines for as long as an epoch needs."""
     journal = tmp_path / "journal"
-    (tmp_path / "all").write_bytes(whole)
-    records = list(iter_journal_part_inputs(tmp_path / "all"))
-    header, is_over, late = read_header(tmp_path / "all"), LogFollower._is_rotated, [records[3:]]
+    records = list(iter_journal_part_inputs(kept))
+    header, is_over, late = read_header(kept), LogFollower._is_rotated, [records[3:]]
 
     def stood_meanwhile(tail: LogFollower) -> bool:
         if late:
