@@ -228,8 +228,8 @@ def _bare_net(name: str, seed: int, wishes: Wishes, work: Path) -> Net:
             path = _write_net(name, plan, streets, signals, work, rng)
             net = read_net(path)
             largest = largest_share(walkable_parts(net, chair_ways(cycle_paths=False)))
-        # GEOS fails at some junctions' outlines.
         except (SumoError, TownError, GEOSException) as error:
+            # GEOS fails at the outlines of some junctions.
             log.info("town %s, attempt %d: %s", name, attempt, error)
             continue
         if largest >= _GOOD_SHARE and len(net.lanes(LaneKind.CROSSING)) >= _LEAST_CROSSINGS:
