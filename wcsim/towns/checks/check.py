@@ -74,8 +74,7 @@ class TownReport:
     walkable_largest_share: float  # of all pavements and crossings, in the largest connected part
     walk_km: float  # length of the ways that wheelchairs can use
     classes: tuple[str, ...]  # SUMO vehicle classes in the demand, sorted
-    # Trips of the first ten minutes that have no way, or that SUMO ignores for their place in a
-    # file.
+    # Trips of the first ten minutes without a way, or that SUMO ignores for their place in a file.
     unroutable: int
     lefthand: bool
     overlaps: tuple[_Overlap, ...] = ()  # streets on the pavements of others
@@ -212,12 +211,10 @@ def _find_notes(town: Town, net: Net, over: tuple[_Overlap, ...] = ()) -> tuple[
     ]
     # The demand was routed through the net.
     for path in (path for path in changed if path.resolve() == net_file):
-        again = (
-            f"; to route the traffic over the new net, {Cures(town).routes()}"
-            if town.routes
-            else ""
-        )
-        notes.append(f"changed since the import: {path.name}{again}")
+        note = f"changed since the import: {path.name}"
+        if town.routes:
+            note += f"; to route the traffic over the new net, {Cures(town).routes()}"
+        notes.append(note)
     if over:
         total_m2, worst = sum(item.area_m2 for item in over), over[0]
         notes.append(

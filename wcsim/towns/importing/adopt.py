@@ -1,4 +1,4 @@
-"""Make a town folder of an author's ready scenario: copies of the files it names, and a town.toml.
+"""Make a town folder of an author's ready scenario: exact copies of its files, and a town.toml.
 
 Only files that SUMO reads go with the copy, and the author's notices; private files of other kinds
 stay behind.

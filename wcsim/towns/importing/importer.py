@@ -243,7 +243,7 @@ def _build(
     crossings_mapped, stops_mapped = (
         count_inside(extract.root, extract.box, kind) for kind in ("crossing", "bus_stop")
     )
-    # 2. Build the net. The land is made first: a file of heights that cannot be used costs no time.
+    # 2. Build the net; the land before, so that a useless file of heights costs no time.
     stage(f"building the net of {_size(extract.box)}")
     (work / "osm").mkdir()
     write_gzip(work / "osm" / f"{name}.osm.xml.gz", extract.xml())
@@ -273,7 +273,7 @@ def _build(
     bbox = ",".join(map(str, order.bbox or ()))
     (work / "osm" / "bbox").write_text(f"{bbox}\n", encoding="utf-8")
     _write_manifest(order, work, built.net)
-    # 6. Try the demand on another core than what the caller does with the town.
+    # 6. Try the demand on another core, while the caller uses the town.
     stage("building the street and testing the traffic")
     with ThreadPoolExecutor(1) as pool:
         traffic = order.seed, order.traffic, order.per_hour, cars
@@ -398,7 +398,7 @@ def _convert_net(order: ImportOrder, extract: str, folder: Path, more: Sequence[
         options += ["--keep-edges.in-geo-boundary", bbox, "-o", place.name]
         options += ["--lefthand"] * bool(order.lefthand)
     options += more
-    # 2. Run it, down the ladder of options that it may fail by.
+    # 2. Run it, with ever fewer of the options that make it fail on some maps.
     first: ToolRun | None = None
     for step in _DATA["ladder"]:
         without = step["without"].split()

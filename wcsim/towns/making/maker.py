@@ -163,7 +163,7 @@ def make_town(
             edited town.
         SumoError: One of SUMO's tools failed.
     """
-    # 1. Check.
+    # 1. Check first, so that a mistake costs no time.
     wishes = wishes or Wishes()
     out = folder.resolve()
     name = name or out.name

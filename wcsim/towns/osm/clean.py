@@ -155,7 +155,7 @@ def cut_bridges(root: Element, keep_service: bool = False) -> tuple[str, ...]:
     ways = _net_ways(root, keep_service)
     if not ways:
         return ()
-    # 1. Find the parts, from the lowest level up: what is left out below is in nobody's way above.
+    # 1. Find the parts, from the lowest level up: what is left out below is not in the way above.
     uses = Counter(node for way in ways for node in set(way.nodes))
     cuts: dict[int, set[int]] = {}  # number of a way: its segments that go
     lines = [way.piece(0, len(way.nodes) - 1) for way in ways]
@@ -173,7 +173,7 @@ def cut_bridges(root: Element, keep_service: bool = False) -> tuple[str, ...]:
             while last < len(nodes) - 1 and uses[nodes[last]] < 2:
                 last += 1
             cuts.setdefault(upper, set()).update(range(first, last))
-    # 2. Take them out. No trains run, so nobody misses a railway.
+    # 2. Take them out. Railways are not named, for no trains run.
     _remove_segments(root, [(ways[number], removed) for number, removed in sorted(cuts.items())])
     names = set()
     for way in (ways[number] for number in cuts if not ways[number].train):

@@ -54,8 +54,7 @@ _VIETNAM_DEG = ((105.0, 16.5), (102.0, 18.55))
 # Of XML; more is cut by libosmium first, which is faster and needs less memory.
 SMALL_BYTES = 48 << 20
 MARGIN_M = 150.0  # around the box: buildings and trees beside streets that reach out of it
-# Nodes farther outside are left out of their ways: ferries, or the other side of the 180th
-# meridian.
+# Nodes farther outside are left out of their ways: ferries, or beyond the 180th meridian.
 FAR_M = 20_000.0
 EXPECTED = f"expected {EXTRACT.what}"
 # How parsers and unpackers call a lost end.

@@ -35,8 +35,7 @@ _WALKS = ("walk", "personTrip", "tranship")
 _RIDES = ("ride", "transport")
 _PEOPLE = ("person", "personFlow", "container", "containerFlow")
 _RINGS = "NEMA"  # the type of programs that show a phase of each ring at once
-# Of a phase in which everything is red: shorter ones clear the junction, longer ones are for
-# walkers.
+# Of a phase with all lights red: shorter ones clear the junction, longer ones are for walkers.
 _SHORT_S = 8.0
 _RED = frozenset("rRs")
 _GREEN = frozenset("Gg")
@@ -397,8 +396,7 @@ def _program(logic: Element, paving: Paving, in_net: bool) -> bool:
     given = [phase.get("state", "") for phase in phases]
     durations_s = [_number(phase.get("duration")) or 0.0 for phase in phases]
     if rings := logic.get("type") == _RINGS:
-        # A NEMA controller shows a state of each ring at once: none alone tells which vehicles
-        # drive.
+        # It shows a state of each ring at once, and none alone tells which vehicles drive.
         moved = [_moved(state, links) for state in given]
         states = tuple("".join(_with_crossings(lights, frozenset(), links)) for lights in moved)
     else:
