@@ -128,21 +128,7 @@ def lift_net(path: Path, dem: Dem, relief: Heights, *, on_globe: bool = True) ->
     root = read_root(path)
 
     def places_of(points_m: F64) -> F64:
-        if not on_globe:
-            return points_m
-        from rasterio.warp import transform
-
-        location = root.find("location")
-        projection = location.get("projParameter", "!") if location is not None else "!"
-        if location is None or not projection.startswith("+proj"):
-            raise TownError(
-                f"{path.name}: has no geographic projection; "
-                "expected a net made from OpenStreetMap data"
-            )
-        offset_m = np.array(location.attrib["netOffset"].split(","), np.float64)
-        x_m, y_m = (points_m - offset_m).T
-        with _own_projections():
-            return np.column_stack(transform(projection, "EPSG:4326", x_m, y_m))
+        return _globe_places(root, points_m, path) if on_globe else points_m
 
     # 1. Find the shapes, and where they lie on the land.
     found = [(element, _points(element)) for element in root.iter() if element.get("shape")]
@@ -359,6 +345,23 @@ def _points(element: Element) -> F64:
         share = np.arange(1, pieces + 1)[:, None] / pieces
         rows.append(start_m + share * (end_m - start_m))
     return np.asarray(np.round(np.concatenate(rows), 2), np.float64)
+
+
+def _globe_places(root: Element, points_m: F64, path: Path) -> F64:
+    """Longitudes and latitudes (n, 2) of points in the metres of a net. Raises TownError."""
+    from rasterio.warp import transform
+
+    location = root.find("location")
+    projection = location.get("projParameter", "!") if location is not None else "!"
+    if location is None or not projection.startswith("+proj"):
+        raise TownError(
+            f"{path.name}: has no geographic projection; "
+            "expected a net made from OpenStreetMap data"
+        )
+    offset_m = np.array(location.attrib["netOffset"].split(","), np.float64)
+    x_m, y_m = (points_m - offset_m).T
+    with _own_projections():
+        return np.column_stack(transform(projection, "EPSG:4326", x_m, y_m))
 
 
 def _heights_at(dem: Dem, places: F64) -> F64:

@@ -383,22 +383,8 @@ def _convert_net(order: ImportOrder, extract: str, folder: Path, more: Sequence[
         SumoError: netconvert failed.
     """
     place = folder / f"{order.name}.net.xml"
-    # 1. Choose the options.
-    typemaps = _DATA["opendrive-typemap" if order.opendrive else "typemaps"].split()
-    maps = ",".join(str(sumo_home() / "data" / "typemap" / name) for name in typemaps)
-    if order.opendrive:
-        maps += f",{Path(__file__).with_name('opendrive.typ.xml')}"
-        options = ["--opendrive-files", extract, "--type-files", maps]
-        options += [*_DATA["opendrive"].split(), "-o", place.name]
-    else:
-        left_out = _LEFT_OUT[:1] if order.keep_service else _LEFT_OUT
-        bbox = ",".join(map(str, order.bbox or ()))
-        options = ["--osm-files", extract, "--type-files", maps, *_DATA["netconvert"].split()]
-        options += ["--remove-edges.by-type", ",".join(left_out)]
-        options += ["--keep-edges.in-geo-boundary", bbox, "-o", place.name]
-        options += ["--lefthand"] * bool(order.lefthand)
-    options += more
-    # 2. Run it, with ever fewer of the options that make it fail on some maps.
+    options = [*_net_options(order, extract, place.name), *more]
+    # 1. Run netconvert, with ever fewer of the options that make it fail on some maps.
     first: ToolRun | None = None
     for step in _DATA["ladder"]:
         without = step["without"].split()
@@ -413,11 +399,27 @@ def _convert_net(order: ImportOrder, extract: str, folder: Path, more: Sequence[
         empty = not first.returncode or "No edges" in run.output or "No nodes" in run.output
         if order.opendrive or (empty and run.returncode):
             break
-    # 3. Refuse the map.
+    # 2. Refuse the map.
     assert first is not None  # noqa: S101 - the ladder is not empty
     if empty:
         raise _without("streets", order)
     raise SumoError(f"no net could be built: {first.reason()}; check the map and the bounding box")
+
+
+def _net_options(order: ImportOrder, extract: str, out: str) -> list[str]:
+    """The options with which netconvert makes the net `out` of an extract."""
+    typemaps = _DATA["opendrive-typemap" if order.opendrive else "typemaps"].split()
+    maps = ",".join(str(sumo_home() / "data" / "typemap" / name) for name in typemaps)
+    if order.opendrive:
+        maps += f",{Path(__file__).with_name('opendrive.typ.xml')}"
+        options = ["--opendrive-files", extract, "--type-files", maps]
+        return [*options, *_DATA["opendrive"].split(), "-o", out]
+    left_out = _LEFT_OUT[:1] if order.keep_service else _LEFT_OUT
+    bbox = ",".join(map(str, order.bbox or ()))
+    options = ["--osm-files", extract, "--type-files", maps, *_DATA["netconvert"].split()]
+    options += ["--remove-edges.by-type", ",".join(left_out)]
+    options += ["--keep-edges.in-geo-boundary", bbox, "-o", out]
+    return options + ["--lefthand"] * bool(order.lefthand)
 
 
 def _without(what: str, order: ImportOrder) -> TownError:

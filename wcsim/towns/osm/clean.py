@@ -165,22 +165,13 @@ def cut_bridges(root: Element, keep_service: bool = False) -> tuple[str, ...]:
             continue
         upper, lower = (low, high) if ways[low].train and not ways[high].train else (high, low)
         rest = ways[lower].without(cuts.get(lower, set()))
-        nodes = ways[upper].nodes
         for segment in _over(ways[upper], rest, set(ways[lower].nodes)):
-            first, last = segment, segment + 1
-            while first > 0 and uses[nodes[first]] < 2:
-                first -= 1
-            while last < len(nodes) - 1 and uses[nodes[last]] < 2:
-                last += 1
-            cuts.setdefault(upper, set()).update(range(first, last))
+            part = _between_junctions(ways[upper].nodes, segment, uses)
+            cuts.setdefault(upper, set()).update(part)
     # 2. Take them out. Railways are not named, for no trains run.
     _remove_segments(root, [(ways[number], removed) for number, removed in sorted(cuts.items())])
-    names = set()
-    for way in (ways[number] for number in cuts if not ways[number].train):
-        tags = _read_tags(way.element)
-        kind = tags.get("highway") or tags.get("railway")
-        names.add(tags.get("name") or tags.get("ref") or f"a {kind} without a name")
-    return tuple(sorted(names))
+    named = (ways[number] for number in cuts if not ways[number].train)
+    return tuple(sorted({_name_or_kind(way.element) for way in named}))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -265,20 +256,15 @@ def map_ways(root: Element, box: Box) -> tuple[_MapWay, ...]:
     for item in (*root.iterfind("way"), *root.iterfind("relation")):
         # 1. Streets and ways on foot alone.
         tags = _read_tags(item)
-        highway, foot = tags.get("highway"), tags.get("foot")
+        highway = tags.get("highway")
         street = highway in _TAGS["streets"] and not _is_hidden(tags) and tags.get("area") != "yes"
-        shared = highway == "cycleway" and foot in ("yes", "designated")
-        if not (street or shared or (highway in _TAGS["footways"] and foot != "no")):
+        if not street and not _is_footway(tags):
             continue
         # 2. Its line; of an area of several ways their outlines.
-        item_id, is_way = item.get("id", ""), item.tag == "way"
-        refs = [item_id] if is_way else []
-        if not is_way and tags.get("type") == "multipolygon":
-            ways = item.iterfind("member[@type='way']")
-            refs = [way.get("ref", "") for way in ways if way.get("role") != "inner"]
+        refs = [item.get("id", "")] if item.tag == "way" else _outlines(item, tags)
         parts = [lines[ref] for ref in refs if ref in lines]
         way = _MapWay(
-            id=f"{'' if is_way else 'relation '}{item_id.lstrip('-')}",
+            id=f"{'relation ' * (item.tag == 'relation')}{item.get('id', '').lstrip('-')}",
             street=street,
             name=tags.get("name", ""),
             inside_m=sum(_inside_m([places[node] for node in part], box) for part in parts),
@@ -393,16 +379,7 @@ def _mark_ways(root: Element, lefthand: bool) -> None:
         if "highway" not in tags and "railway" not in tags:
             continue
         # 1. Pavements: for each side, and in netconvert's word.
-        sides = meanings("streets", tags)
-        words = {key: "" for key in tags if key.startswith("sidewalk")}
-        words |= {f"pavement_{side}": word for side, word in sides.items()}
-        if mapped := [side for side, word in sides.items() if word == "paved"]:
-            # netconvert calls the side of those who drive along the way the right.
-            named = {"left": "right", "right": "left"}[mapped[0]] if lefthand else mapped[0]
-            words["sidewalk"] = "both" if len(mapped) == 2 else named
-        elif "bare" in sides.values():
-            # Else it takes foot=yes for pavements. A guess follows later.
-            words["sidewalk"] = "no"
+        words = _pavement_words(tags, lefthand)
         # 2. Kerbs.
         for side in ("left", "right"):
             words[f"kerb_{side}"] = tags.get(f"kerb:{side}", tags.get("kerb:both", ""))
@@ -416,6 +393,21 @@ def _mark_ways(root: Element, lefthand: bool) -> None:
         for key, word in words.items():
             if word:
                 SubElement(way, "tag", {"k": key, "v": word})
+
+
+def _pavement_words(tags: dict[str, str], lefthand: bool) -> dict[str, str]:
+    """Words for the pavements of a way; the map's own tags for them get empty ones."""
+    sides = meanings("streets", tags)
+    words = {key: "" for key in tags if key.startswith("sidewalk")}
+    words |= {f"pavement_{side}": word for side, word in sides.items()}
+    if mapped := [side for side, word in sides.items() if word == "paved"]:
+        # netconvert calls the side of those who drive along the way the right.
+        named = {"left": "right", "right": "left"}[mapped[0]] if lefthand else mapped[0]
+        words["sidewalk"] = "both" if len(mapped) == 2 else named
+    elif "bare" in sides.values():
+        # Else it takes foot=yes for pavements. A guess follows later.
+        words["sidewalk"] = "no"
+    return words
 
 
 def _ways_by_id(root: Element) -> dict[str, Element]:
@@ -498,6 +490,16 @@ def _over(way: _Way, other: shapely.MultiLineString, joined: set[str]) -> list[i
     return found
 
 
+def _between_junctions(nodes: tuple[str, ...], segment: int, uses: Counter[str]) -> range:
+    """Segments of a way from the junction before one of them to the junction after it."""
+    first, last = segment, segment + 1
+    while first > 0 and uses[nodes[first]] < 2:
+        first -= 1
+    while last < len(nodes) - 1 and uses[nodes[last]] < 2:
+        last += 1
+    return range(first, last)
+
+
 def _remove_segments(root: Element, cuts: list[tuple[_Way, set[int]]]) -> None:
     """Take segments out of ways; of a way that falls apart all pieces but one are new ways."""
     ids = [int(way.get("id", "0")) for way in root.iterfind("way")]
@@ -519,6 +521,12 @@ def _remove_segments(root: Element, cuts: list[tuple[_Way, set[int]]]) -> None:
             root.insert(place + number, piece)
 
 
+def _name_or_kind(way: Element) -> str:
+    tags = _read_tags(way)
+    kind = tags.get("highway") or tags.get("railway")
+    return tags.get("name") or tags.get("ref") or f"a {kind} without a name"
+
+
 def _places(root: Element) -> dict[str, tuple[float, float]]:
     """Longitude and latitude of each node of an extract."""
     return {
@@ -530,6 +538,21 @@ def _places(root: Element) -> dict[str, tuple[float, float]]:
 def _footway_text(way: _MapWay) -> str:
     name = " ".join(filter(None, (way.id, way.name)))
     return f"{name} ({way.inside_m:.0f} m{', ' * bool(way.why)}{way.why})"
+
+
+def _is_footway(tags: dict[str, str]) -> bool:
+    """Whether it is a way for walkers, or for cyclists and walkers."""
+    highway, foot = tags.get("highway"), tags.get("foot")
+    is_shared = highway == "cycleway" and foot in ("yes", "designated")
+    return is_shared or (highway in _TAGS["footways"] and foot != "no")
+
+
+def _outlines(relation: Element, tags: dict[str, str]) -> list[str]:
+    """Ids of the ways around the area that a relation is; none where it is no area."""
+    if tags.get("type") != "multipolygon":
+        return []
+    ways = relation.iterfind("member[@type='way']")
+    return [way.get("ref", "") for way in ways if way.get("role") != "inner"]
 
 
 def _inside_m(points: list[tuple[float, float]], box: Box) -> float:

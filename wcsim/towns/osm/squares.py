@@ -50,12 +50,7 @@ def cross_squares(root: Element, keep_service: bool) -> set[str]:
     squares: dict[str, BaseGeometry] = {}
     for item in [*root.iter("way"), *root.iter("relation")]:
         tags = {tag.get("k", ""): tag.get("v", "") for tag in item.iter("tag")}
-        # Without an area people walk along a line.
-        is_area = item.tag == "relation" or tags.get("area") == "yes"
-        highway = tags.get("highway") if is_area else None
-        kind = tags.get("area:highway", tags.get("place", highway))
-        is_closed = tags.get("foot", tags.get("access")) in _TAGS["closed"]
-        if kind in _TAGS["squares"] and not is_closed and not off_ground(tags):
+        if _is_square(item, tags):
             name = f"{'relation ' * (item.tag == 'relation')}{item.get('id', '').lstrip('-')}"
             squares[name] = plan.area(item)
             item[:] = [tag for tag in item if tag.get("k") not in _TAGS["moved"]]
@@ -83,6 +78,16 @@ def cross_squares(root: Element, keep_service: bool) -> set[str]:
     if crossed:  # netconvert reads nodes, then ways, then relations
         root[:] = sorted(root, key=lambda item: "nwr".find(item.tag[0]))
     return crossed
+
+
+def _is_square(item: Element, tags: dict[str, str]) -> bool:
+    """Whether a way or a relation is a square on the ground that is open to people."""
+    # Without an area people walk along a line.
+    is_area = item.tag == "relation" or tags.get("area") == "yes"
+    highway = tags.get("highway") if is_area else None
+    kind = tags.get("area:highway", tags.get("place", highway))
+    is_closed = tags.get("foot", tags.get("access")) in _TAGS["closed"]
+    return kind in _TAGS["squares"] and not is_closed and not off_ground(tags)
 
 
 def _ways_over(
