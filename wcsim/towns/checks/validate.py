@@ -83,12 +83,18 @@ def _scan_net(root: Element, where: str) -> None:
             f"{where}: has no junction; expected a street net: build it with netconvert"
         )
     scan_numbers(root, where)
+    _scan_size(root, edges, where)
+    _scan_shapes(root, edges, where)
+
+
+def _scan_size(root: Element, edges: list[Element], where: str) -> None:
+    """Refuse a town of less than a metre or of hundreds of kilometres. Raises TownError."""
     # A town of less than a metre was never projected: its coordinates are degrees. Lanes are drawn
     # metres wide around them, so what counts is how far its junctions are from each other.
     again = "build it again from the same files, with netconvert's option --proj.utm"
     lanes = [lane for edge in edges for lane in edge.iterfind("lane")]
     span_m = _span_m([place for lane in lanes for place in _places(lane)])
-    junctions = root.findall("junction")
+    junctions = root.iterfind("junction")
     nodes = [node for node in junctions if node.get("type") != "internal" and node.get("y")]
     places = [(float(node.get("x", "0")), float(node.get("y", "0"))) for node in nodes]
     least_m = min(_span_m(places) or span_m, span_m)
@@ -102,9 +108,13 @@ def _scan_net(root: Element, where: str) -> None:
             f"{where}: is {span_m / 1e3:.0f} km across; "
             f"expected at most {LARGEST_M / 1e3:.0f} km: {again}"
         )
-    # One lane that is drawn to a place far away makes a small town hundreds of kilometres large.
-    walkways = {lane for edge in edges if edge.get("function") == "walkingarea" for lane in edge}
-    for lane in (lane for lane in lanes if lane not in walkways):
+
+
+def _scan_shapes(root: Element, edges: list[Element], where: str) -> None:
+    """Refuse lanes and junctions that are drawn to places far away. Raises TownError."""
+    # One such lane makes a small town hundreds of kilometres large.
+    streets = [edge for edge in edges if edge.get("function") != "walkingarea"]
+    for lane in (lane for edge in streets for lane in edge.iterfind("lane")):
         drawn_m = sum(math.dist(*ends) for ends in itertools.pairwise(_places(lane)))
         if drawn_m > max(_STRETCHED_M, _STRETCHED * float(lane.get("length") or 0.0)):
             raise TownError(
@@ -112,7 +122,7 @@ def _scan_net(root: Element, where: str) -> None:
                 f"{drawn_m:.0f} m; expected similar lengths: build it again with netconvert"
             )
     # So does a junction whose outline reaches there.
-    for junction in junctions:
+    for junction in root.iterfind("junction"):
         outline = _places(junction)
         reach_m = max((math.dist(outline[0], place) for place in outline), default=0.0)
         if reach_m > _STRETCHED_M:

@@ -141,20 +141,8 @@ def draw_map(
     for kind, xy_m in mapped:
         poly.point(kind, xy_m, [])
 
-    # 4. Write paint and kerbs of the crossings: at signals they are painted, and no kerb is high.
-    lit = net.signalled()
-    painted = rng.uniform(0.3, 1.0)
-    for lane in net.lanes(LaneKind.CROSSING):
-        if not lane.is_line:
-            continue
-        is_lit = lane.edge_id in lit
-        middle = shapely.LineString(lane.points_m).interpolate(0.5, normalized=True)
-        drawn = rng.random() < painted
-        tags = [("crossing", "marked" if drawn or is_lit else "unmarked")]
-        ground.point("highway.crossing", shapely.get_coordinates(middle)[0], tags)
-        kerb = str(rng.choice(_KERBS, p=_KERB_SHARES))
-        for end_m in (lane.points_m[0], lane.points_m[-1]):
-            poly.point(f"kerb.{'lowered' if kerb == 'raised' and is_lit else kerb}", end_m, [])
+    # 4. Write paint and kerbs of the crossings.
+    _write_crossings(net, poly, ground, rng)
 
     paths = folder / f"{name}.poly.xml", folder / f"{name}.ground.xml"
     for writer, path in zip((poly, ground), paths, strict=True):
@@ -195,22 +183,25 @@ def _build_blocks(net: Net, rng: np.random.Generator) -> _Blocks:
 
 
 def _leave_open(block: Polygon, use: str, found: _Blocks) -> None:
-    inner = _largest(block.buffer(-1.0, join_style="mitre"))
+    if use == "square":
+        found.squares.append(_largest(block.buffer(-0.05, join_style="mitre")))
+        return
+    # A narrow block has no ground so far from its streets.
+    inner = _largest(block.buffer(-1.0 if use == "park" else -1.5, join_style="mitre"))
+    if inner.is_empty:
+        return
     if use == "park":
         found.greens.append(("leisure.park", inner))
-    elif use == "square":
-        found.squares.append(_largest(block.buffer(-0.05, join_style="mitre")))
-    else:
-        inner = _largest(block.buffer(-1.5, join_style="mitre"))
-        # It lies at the street: its middle is near to the edge.
-        way = shapely.shortest_line(inner.exterior, inner.representative_point())
-        middle = way.interpolate(min(0.7 * _CAR_PARK_REACH_M, way.length))
-        reach = middle.buffer(_CAR_PARK_REACH_M, cap_style="square")
-        lot = _largest(inner.intersection(reach))
-        found.car_parks.append(lot)
-        rest = _largest(block.buffer(-0.3).difference(lot.buffer(1.0, join_style="mitre")))
-        if rest.area > _LEAST_BLOCK_M2:
-            found.greens.append(("landuse.grass", rest))
+        return
+    # A car park lies at the street: its middle is near to the edge.
+    way = shapely.shortest_line(inner.exterior, inner.representative_point())
+    middle = way.interpolate(min(0.7 * _CAR_PARK_REACH_M, way.length))
+    reach = middle.buffer(_CAR_PARK_REACH_M, cap_style="square")
+    lot = _largest(inner.intersection(reach))
+    found.car_parks.append(lot)
+    rest = _largest(block.buffer(-0.3).difference(lot.buffer(1.0, join_style="mitre")))
+    if rest.area > _LEAST_BLOCK_M2:
+        found.greens.append(("landuse.grass", rest))
 
 
 def _build_up(
@@ -241,18 +232,8 @@ def _build_up(
             if block.contains(lot) and taken.free(lot):
                 taken.add(lot.buffer(1.0))
                 found.car_parks.append(lot)
-        # 2. Houses, each where there is room.
-        at_m = 0.0
-        while at_m < length_m - _SHORTEST_FRONT_M:
-            front_m = min(rng.uniform(*style.front_m), length_m - at_m)
-            size_m = (front_m, rng.uniform(*style.depth_m))
-            house = _rectangle(start + at_m * along, along, size_m)
-            if inner.contains(house) and taken.free(house.buffer(-0.02)):
-                taken.add(house)
-                found.houses.append((house, int(rng.integers(*style.levels, endpoint=True))))
-                at_m += front_m + rng.uniform(*style.gap_m)
-            else:
-                at_m += _STEP_M
+        # 2. Houses.
+        found.houses += _houses_along((start, end), inner, style, taken, rng)
         # 3. A hedge before the gardens.
         if style.green and not parks and setback_m > _HEDGED_M and rng.random() < 0.5:
             line_m = np.array([start, end]) - 0.7 * (setback_m - 0.4) * left_of(along)
@@ -274,6 +255,31 @@ def _fronts(block: Polygon, setback_m: float, streets: BaseGeometry) -> Iterator
             and streets.distance(middle) < setback_m + 1.5
         ):
             yield start, end
+
+
+def _houses_along(
+    front: tuple[F64, F64],
+    inner: BaseGeometry,
+    style: _Style,
+    taken: Taken,
+    rng: np.random.Generator,
+) -> list[tuple[Polygon, int]]:
+    """Houses along a front, with their levels, each where there is room in `inner`."""
+    start, end = front
+    length_m = float(np.hypot(*(end - start)))
+    along = (end - start) / length_m
+    houses, at_m = [], 0.0
+    while at_m < length_m - _SHORTEST_FRONT_M:
+        front_m = min(rng.uniform(*style.front_m), length_m - at_m)
+        size_m = (front_m, rng.uniform(*style.depth_m))
+        house = _rectangle(start + at_m * along, along, size_m)
+        if inner.contains(house) and taken.free(house.buffer(-0.02)):
+            taken.add(house)
+            houses.append((house, int(rng.integers(*style.levels, endpoint=True))))
+            at_m += front_m + rng.uniform(*style.gap_m)
+        else:
+            at_m += _STEP_M
+    return houses
 
 
 def _rectangle(corner: F64, along: F64, size_m: tuple[float, float]) -> Polygon:
@@ -302,16 +308,7 @@ def _dress(net: Net, rng: np.random.Generator) -> tuple[_Mapped, _Placed]:
     for lane, has_motors in pavements:
         line = shapely.LineString(lane.points_m)
         # 1. Things in rows, at the kerb or at the wall.
-        for row in _ROWS:
-            has, every_m = rng.random() < row.share, rng.uniform(*row.every_m)
-            if not has or lane.width_m < row.least_m:
-                continue
-            aside_m = 0.5 * lane.width_m - (_KERB_M if row.at_kerb else _WALL_M)
-            left_m = kerb * (aside_m if row.at_kerb else -aside_m)
-            at_m = _ENDS_M + rng.uniform(0.0, 0.5 * every_m)
-            while at_m < line.length - _ENDS_M:
-                mapped.append((str(rng.choice(row.kinds)), _beside(line, at_m, left_m)[0]))
-                at_m += every_m
+        mapped += _rows_along(line, lane.width_m, kerb, rng)
         # 2. Things left on a wide pavement, off its middle: a chair must go round them.
         number = int(rng.poisson(left_per_m * max(0.0, line.length - 2.0 * _ENDS_M)))
         ends_m = _ENDS_M, max(_ENDS_M, line.length - _ENDS_M)
@@ -327,6 +324,24 @@ def _dress(net: Net, rng: np.random.Generator) -> tuple[_Mapped, _Placed]:
             mapped.append(("highway.bus_stop", _beside(line, 0.5 * line.length, 0.0)[0]))
             since_stop_m = 0.0
     return mapped, placed
+
+
+def _rows_along(
+    line: shapely.LineString, width_m: float, kerb: float, rng: np.random.Generator
+) -> _Mapped:
+    """Things in rows on a pavement that has its kerb to the left (1.0) or to the right (-1.0)."""
+    things: _Mapped = []
+    for row in _ROWS:
+        has, every_m = rng.random() < row.share, rng.uniform(*row.every_m)
+        if not has or width_m < row.least_m:
+            continue
+        aside_m = 0.5 * width_m - (_KERB_M if row.at_kerb else _WALL_M)
+        left_m = kerb * (aside_m if row.at_kerb else -aside_m)
+        at_m = _ENDS_M + rng.uniform(0.0, 0.5 * every_m)
+        while at_m < line.length - _ENDS_M:
+            things.append((str(rng.choice(row.kinds)), _beside(line, at_m, left_m)[0]))
+            at_m += every_m
+    return things
 
 
 def _beside(line: shapely.LineString, along_m: float, left_m: float) -> tuple[F64, float]:
@@ -383,3 +398,20 @@ class _Writer:
         params = (f"<param key={quoteattr(key)} value={quoteattr(value)}/>" for key, value in tags)
         inner = "".join(params)
         self._lines.append(f"{head}>{inner}</{tag}>" if inner else f"{head}/>")
+
+
+def _write_crossings(net: Net, poly: _Writer, ground: _Writer, rng: np.random.Generator) -> None:
+    """Paint and kerbs of all crossings: at signals they are painted, and no kerb is high."""
+    lit = net.signalled()
+    painted = rng.uniform(0.3, 1.0)
+    for lane in net.lanes(LaneKind.CROSSING):
+        if not lane.is_line:
+            continue
+        is_lit = lane.edge_id in lit
+        middle = shapely.LineString(lane.points_m).interpolate(0.5, normalized=True)
+        drawn = rng.random() < painted
+        tags = [("crossing", "marked" if drawn or is_lit else "unmarked")]
+        ground.point("highway.crossing", shapely.get_coordinates(middle)[0], tags)
+        kerb = str(rng.choice(_KERBS, p=_KERB_SHARES))
+        for end_m in (lane.points_m[0], lane.points_m[-1]):
+            poly.point(f"kerb.{'lowered' if kerb == 'raised' and is_lit else kerb}", end_m, [])

@@ -369,7 +369,6 @@ def _nodes_xml(
     signals: _Signals,
     rng: np.random.Generator,
 ) -> str:
-    """Signals where larger streets meet; else priority, or right before left at small streets."""
     meeting: dict[int, list[_NamedStreet]] = {}
     for street in streets:
         for link in street.links:
@@ -378,17 +377,23 @@ def _nodes_xml(
     lines = ["<nodes>"]
     for number, (x_m, y_m) in enumerate(plan.nodes_m.tolist()):
         driven = [street for street in meeting[number] if street.kind is not WALK]
-        larger = {street.number for street in driven if street.kind is not RESIDENTIAL}
-        main = any(street.kind is MAIN for street in driven)
-        share, drawn, kind = signals.share, rng.random(), "priority"
-        if len(driven) > 2 and (
-            (len(larger) > 1 and drawn < share) or (main and drawn < 0.4 * share)
-        ):
-            kind = "traffic_light"
-        elif len(driven) > 2 and not larger and drawn < 0.7:
-            kind = "right_before_left"
+        kind = _junction_kind(driven, signals.share, rng.random())
         lines.append(f'    <node id="j{number}" x="{x_m:.2f}" y="{y_m:.2f}" type="{kind}"/>')
     return "\n".join([*lines, "</nodes>", ""])
+
+
+def _junction_kind(driven: list[_NamedStreet], share: float, drawn: float) -> str:
+    """Signals where larger streets meet; else priority, or right before left at small streets.
+
+    `driven` are the streets for vehicles that meet there; one that goes on is there twice.
+    """
+    larger = {street.number for street in driven if street.kind is not RESIDENTIAL}
+    main = any(street.kind is MAIN for street in driven)
+    if len(driven) < 3:
+        return "priority"
+    if (len(larger) > 1 and drawn < share) or (main and drawn < 0.4 * share):
+        return "traffic_light"
+    return "right_before_left" if not larger and drawn < 0.7 else "priority"
 
 
 def _edges_xml(plan: StreetPlan, streets: tuple[_NamedStreet, ...]) -> str:

@@ -258,12 +258,7 @@ def _placed(element: Element, tag: str, paving: Paving) -> dict[str, str]:
     """New values of an element on a lane or an edge, or that names lanes. Raises TownError."""
     named = ("lanes", *(key for owner, key in _IDS if owner == tag))
     found = {key: _renamed(value, paving) for key in named if (value := element.get(key))}
-    name, edge = element.get("id", ""), element.get("edge", "")
-    # The lanes that it lies on, in the old net; of an edge that it names instead, the leftmost.
-    lanes = list(_words(element.get("lane") or element.get("lanes") or ""))
-    on_edge = edge in paving.lanes.before and tag in ("stop", "calibrator")
-    if on_edge and not element.get("lane"):
-        lanes = [paving.lanes.before[edge][-1].id]
+    name, lanes = element.get("id", ""), _lanes_under(element, tag, paving)
     if element.get("lane"):
         if lanes[0] not in paving.lanes.lines:
             raise TownError(
@@ -284,6 +279,15 @@ def _placed(element: Element, tag: str, paving: Paving) -> dict[str, str]:
                 moved = f"{_tag(element)} {name or 'on ' + lane}"
                 paving.moved_m[moved] = max(along_m, paving.moved_m.get(moved, 0.0))
     return found | _whole(element, tag, lanes, found, paving)
+
+
+def _lanes_under(element: Element, tag: str, paving: Paving) -> list[str]:
+    """The lanes of the old net that it lies on; of an edge that it names instead, the leftmost."""
+    edge = element.get("edge", "")
+    on_edge = edge in paving.lanes.before and tag in ("stop", "calibrator")
+    if on_edge and not element.get("lane"):
+        return [paving.lanes.before[edge][-1].id]
+    return list(_words(element.get("lane") or element.get("lanes") or ""))
 
 
 def _whole(
@@ -395,12 +399,9 @@ def _program(logic: Element, paving: Paving, in_net: bool) -> bool:
         paving.overridden.add(signal)
     given = [phase.get("state", "") for phase in phases]
     durations_s = [_number(phase.get("duration")) or 0.0 for phase in phases]
-    if rings := logic.get("type") == _RINGS:
-        # It shows a state of each ring at once, and none alone tells which vehicles drive.
-        moved = [_moved(state, links) for state in given]
-        states = tuple("".join(_with_crossings(lights, frozenset(), links)) for lights in moved)
-    else:
-        states = _padded(given, durations_s, links)
+    # A state of each ring is shown at once, and none alone tells which vehicles drive.
+    rings = logic.get("type") == _RINGS
+    states = _all_red(given, links) if rings else _padded(given, durations_s, links)
     for link, edges in links.crossings.items():
         if all(state[link] == "r" for state in states):
             never = _NeverGreen(signal=signal, edge=min(edges), in_net=in_net, rings=rings)
@@ -408,6 +409,12 @@ def _program(logic: Element, paving: Paving, in_net: bool) -> bool:
     for phase, state in zip(phases, states, strict=True):
         phase.set("state", state)
     return tuple(given) != states
+
+
+def _all_red(states: Sequence[str], links: _SignalLinks) -> tuple[str, ...]:
+    """The states of a program, in their order, with each new crossing at red."""
+    moved = [_moved(state, links) for state in states]
+    return tuple("".join(_with_crossings(lights, frozenset(), links)) for lights in moved)
 
 
 def _padded(
@@ -434,13 +441,7 @@ def _padded(
             then = (then + 1) % len(changing)
         green = {link for link, is_free in free[number].items() if is_free and free[then][link]}
         lights = _with_crossings(state_lights, green, links)
-        # 4. Vehicles that turn into a street with a green crossing have to yield.
-        for drive in links.drives:
-            crossed = (edges for link, edges in links.crossings.items() if lights[link] == "G")
-            turns = lights[drive.link] == "G" and not drive.straight
-            if turns and any(drive.end in edges for edges in crossed):
-                lights[drive.link] = "g"
-        made.append("".join(lights))
+        made.append("".join(_with_yields(lights, links)))
     return tuple(made)
 
 
@@ -451,6 +452,17 @@ def _with_crossings(lights: list[str], green: Set[int], links: _SignalLinks) -> 
         lit[link] = "G" if link in green else "r"
         if all(lit[drive.link] in _OFF for drive in links.drives):
             lit[link] = "o"
+    return lit
+
+
+def _with_yields(lights: list[str], links: _SignalLinks) -> list[str]:
+    """A state in which vehicles that turn into a street with a green crossing have to yield."""
+    lit = list(lights)
+    for drive in links.drives:
+        crossed = (edges for link, edges in links.crossings.items() if lit[link] == "G")
+        turns = lit[drive.link] == "G" and not drive.straight
+        if turns and any(drive.end in edges for edges in crossed):
+            lit[drive.link] = "g"
     return lit
 
 
