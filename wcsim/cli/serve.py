@@ -34,7 +34,7 @@ from wcsim.server.protocol.limits import ensure_open_file_limit
 from wcsim.server.specs import WorldProcessSpec, make_world_launch_plan
 from wcsim.server.transport.keys import create_missing_keys, is_loopback, list_known_clients
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.making.asked_town import requested_town
 from wcsim.towns.scenario.town import Town
 from wcsim.types.bounds import MOST_SEATS
 from wcsim.users.profiles import filter_user_file_names
@@ -85,7 +85,7 @@ def run(words: list[str]) -> int:
     if options.run is not None:
         _prepare_folder(options.run)
     ensure_open_file_limit(options.seats)
-    towns = [asked_town(word) for word in split_nonempty_list("--town", options.town)]
+    towns = [requested_town(word) for word in split_nonempty_list("--town", options.town)]
     if len(towns) > 1 and (options.run is None or not config.epoch_ticks):
         raise ConfigError(
             f"--town {options.town}: the world never changes town; expected --run FOLDER, and "

@@ -36,7 +36,7 @@ def test_each_generation_of_a_world_is_in_the_next_town(
     run, folder = of_one_client(tmp_path / "run", dqn_config(), info)
     order = make_world_spec(run, "helsinki", folder, tmp_path, 1, 10.0)
     assert order.more_towns == (corner_town.address, "made:7")
-    monkeypatch.setattr(opening, "asked_town", str)
+    monkeypatch.setattr(opening, "requested_town", str)
     monkeypatch.setattr(opening, "World", lambda town, *given, epoch, find_user: (town, epoch))
     worlds = [opening.make_street_world(order, (None,), 3, epoch=epoch) for epoch in range(4)]
     assert worlds == [("helsinki", 0), (str(corner), 1), ("made:7", 2), ("helsinki", 3)]

@@ -7,14 +7,14 @@ import pytest
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.making import asked_town as asked
 from wcsim.towns.making import maker
-from wcsim.towns.making.asked_town import Wishes, asked_town
+from wcsim.towns.making.asked_town import Wishes, requested_town
 from wcsim.towns.scenario.town import Town
 
 
 @pytest.mark.parametrize("word", ["made:", "made:x", "made:-1", "made:1.5", f"made:{1 << 31}", "made: 1"])
 def test_seeds_of_generated_towns_are_checked(word: str) -> None:
     with pytest.raises(ConfigError, match="expected made:SEED with a seed below 2147483648"):
-        asked_town(word)
+        requested_town(word)
 
 
 def test_a_generated_town_for_training_is_made_once(
@@ -31,7 +31,7 @@ def test_a_generated_town_for_training_is_made_once(
     monkeypatch.setattr(maker, "make_town", make)
     monkeypatch.setattr(asked, "own_work", lambda folder: ())
     monkeypatch.setattr(asked, "open_town", lambda folder: corner_town)
-    assert asked_town("made:7") == asked_town("made:7") == corner_town
+    assert requested_town("made:7") == requested_town("made:7") == corner_town
     assert made == [(tmp_path / "train-towns" / "made-7", 7, "train")]
     with pytest.raises(TownError, match="atlantis"):
-        asked_town("atlantis")
+        requested_town("atlantis")

@@ -3,7 +3,7 @@ from xml.etree import ElementTree
 import pytest
 
 from wcsim.towns.osm.clean import (
-    TOLD_LOST,
+    MOST_FOOTWAYS,
     LeftOut,
     _MapWay,
     count_inside,
@@ -77,7 +77,7 @@ def test_each_lost_way_on_foot_is_named_with_why_and_all_add_up() -> None:
     }
     assert sum(way.inside_m for way in found.footways) == pytest.approx(found.footways_m)
     (told,) = found.notes
-    assert told.count("(") == TOLD_LOST + 1 and ", and 1 more (" in told
+    assert told.count("(") == MOST_FOOTWAYS + 1 and ", and 1 more (" in told
     some = LeftOut.of(ways, frozenset(("10", "11")), frozenset(("11",)))
     kept_m = next(way.inside_m for way in ways if way.id == "11")
     assert kept_m + some.footways_left_out_m == pytest.approx(some.footways_m)

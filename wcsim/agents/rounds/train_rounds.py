@@ -61,7 +61,7 @@ from wcsim.core.reading import escape, is_file, read_json
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
 from wcsim.server.workers.machines import HERE, WorkerPoolSettings
 from wcsim.server.workers.scheduler import WorkerStatus
-from wcsim.towns.making.asked_town import Wishes, asked_town, refuse_held_out_town
+from wcsim.towns.making.asked_town import Wishes, refuse_held_out_town, requested_town
 from wcsim.towns.making.maker import make_town
 from wcsim.towns.scenario.town import Town, find_town, open_town, streets_hash
 
@@ -287,7 +287,7 @@ def towns_of(
     for town in listed:
         if town.split == "test":
             raise TownError(f"collect.towns: {town.name} is a test town; expected training towns")
-    others = [*map(asked_town, more), *listed]
+    others = [*map(requested_town, more), *listed]
     made = config.collect.made_towns if config.collect.segments else 0
     for number in range(made):
         drawn = seeding.derive_seed(seed, "collect", "town", number)

@@ -36,7 +36,7 @@ from wcsim.log.records import (
     with_fields,
 )
 from wcsim.towns.cache.folder import cache_folder
-from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.making.asked_town import requested_town
 from wcsim.towns.scenario.town import Town, content_hash, find_town, towns_hash
 from wcsim.towns.scene_folders.build import build_scene, scene_digest
 from wcsim.towns.scene_folders.families import FAMILIES, write_scene
@@ -157,7 +157,7 @@ def worlds_of(header: Header, hook: str = "") -> MakesEpoch[World]:
     if header.drive is not None:
         towns: tuple[Town, ...] = (town_of_drive(header),)
     else:
-        towns = tuple(map(asked_town, (header.town, *header.more_towns)))
+        towns = tuple(map(requested_town, (header.town, *header.more_towns)))
         if towns_hash(towns) != header.town_sha256:
             named = ", ".join(town.name for town in towns)
             raise TownError(f"{named}: a net has changed since the journal was made; restore it")

@@ -49,7 +49,7 @@ from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import WorkerPoolSettings
 from wcsim.supervisor.rewards import make_reward_term
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.making.asked_town import asked_town, refuse_held_out_town
+from wcsim.towns.making.asked_town import refuse_held_out_town, requested_town
 from wcsim.towns.scenario.town import Town, by_name, streets_hash
 
 if TYPE_CHECKING:  # these load PyTorch, which --help must not
@@ -190,7 +190,7 @@ def choose_towns_and_folder(
 def find_training_town(name: str, allow_test_town: bool) -> Town:
     """The town to train in. Raises TownError or ConfigError for one that is kept for tests."""
     refuse_held_out("town", (name,), "--town")
-    town = asked_town(name)
+    town = requested_town(name)
     refuse_held_out_town(town)
     validate_net(town.net)
     if town.split == "test" and not allow_test_town:

@@ -32,7 +32,7 @@ from wcsim.errors import ConfigError
 from wcsim.towns.checks.cures import FASTEST_MPS
 from wcsim.towns.importing.adopt import adopt_scenario
 from wcsim.towns.importing.folder_texts import check_words
-from wcsim.towns.making.asked_town import Wishes, check_wishes
+from wcsim.towns.making.asked_town import Wishes, check_town_properties
 from wcsim.towns.osm.read import Box, download
 from wcsim.towns.scenario.town import find_town, open_town
 
@@ -336,7 +336,7 @@ def run_town_make(options: TownMakeOptions) -> int:
         hill_m=options.hill,
     )
     check_words(options.name, options.split)
-    check_wishes(options.seed, requested)
+    check_town_properties(options.seed, requested)
     require_writable_folder("--out", out)
     # It may replace the working folder itself.
     json = options.json and options.json.resolve()

@@ -41,7 +41,7 @@ from wcsim.config import RunConfig, resolve
 from wcsim.config import parse as parse_config
 from wcsim.core.files import lock_run_folder
 from wcsim.errors import ConfigError, PolicyError, TownError
-from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.making.asked_town import requested_town
 from wcsim.towns.scenario.town import Town, streets_hash
 
 
@@ -184,8 +184,8 @@ def _town_of(options: _Options, manifest: RunManifest, networks: Sequence[str]) 
         )
     words = options.town or _value_of(command, "town") or manifest.town
     try:
-        towns = [asked_town(word) for word in split_nonempty_list("--town", words)]
-        others = [asked_town(word) for word in manifest.more_towns]
+        towns = [requested_town(word) for word in split_nonempty_list("--town", words)]
+        others = [requested_town(word) for word in manifest.more_towns]
     except TownError as error:
         if options.town:
             raise

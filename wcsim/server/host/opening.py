@@ -20,7 +20,7 @@ from wcsim.server.launch.event_log import EventLogWriter
 from wcsim.server.protocol.events import ServerRules
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldBuildSpec, WorldProcessSpec, town_name_for_epoch
-from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.making.asked_town import requested_town
 from wcsim.towns.scenario.town import towns_hash
 from wcsim.users.recordings.recorded_user import find_user
 
@@ -58,7 +58,7 @@ def make_street_world(order: WorldBuildSpec, specs: Specs, seed: int, epoch: int
 
     Raises TownError for a town that does not exist, and what `World` raises.
     """
-    town = asked_town(town_name_for_epoch(order.town, order.more_towns, epoch))
+    town = requested_town(town_name_for_epoch(order.town, order.more_towns, epoch))
     return World(town, order.config, specs, seed, order.place, epoch=epoch, find_user=find_user)
 
 
@@ -110,7 +110,7 @@ def open_server_parts(order: WorldProcessSpec, make: MakeWorld = make_street_wor
 
 
 def _header(order: WorldProcessSpec, has_town: bool) -> Header:
-    towns = tuple(map(asked_town, (order.town, *order.more_towns) if has_town else ()))
+    towns = tuple(map(requested_town, (order.town, *order.more_towns) if has_town else ()))
     return Header(
         name=order.name,
         town=order.town,

@@ -1,4 +1,4 @@
-"""Commands that cure what is wrong with a town, as they can be typed: with the tools' and the files' own places.
+"""Commands that cure what is wrong with a town, as they can be typed, with the files' places.
 
 What is to be done by hand stands before the command, which goes on to the end of its line.
 """
@@ -47,34 +47,34 @@ class Cures:
         self._outside = " --allow-outside" if town.border is None else ""
 
     def pave(self, out: Path | None = None) -> str:
-        """The command that adds pavements and crossings to a scenario, tried on its net here, or why there is none."""
+        """The command that adds pavements to a scenario, tried on its net, or why there is none."""
         net = read_net(self._town.net)
         share, limit_mps = self.paved_share(FASTEST_MPS), FASTEST_MPS
         # Fast streets are paved only where the ways on foot do not hang together without them.
         fastest_mps = max(net.speeds_mps.values(), default=0.0)
-        if share < ENOUGH_SHARE and fastest_mps > FASTEST_MPS and (more := self.paved_share(fastest_mps)) > share:
-            share, limit_mps = more, fastest_mps
+        if share < ENOUGH_SHARE and fastest_mps > FASTEST_MPS:
+            more = self.paved_share(fastest_mps)
+            if more > share:
+                share, limit_mps = more, fastest_mps
+        if not share and fastest_mps:
+            return f"netconvert finds no place for pavements in it; draw them: {self.netedit()}"
         if not share:
-            hand = f"netconvert finds no place for pavements in it; draw them: {self.netedit()}"
-            return (
-                hand
-                if fastest_mps
-                else "no street is open to cars, so no pavement can be added; choose another scenario"
-            )
+            return "no street is open to cars, so no pavement can be added; choose another scenario"
         # Not where an earlier try lies.
         place = out or Path(f"{self._town.name}-paved")
         while place.exists():
             place = place.with_name(f"{place.name}-2")
-        command = self.pave_into(place, limit_mps)
-        return f"{'add crossings and walking areas' if net.paved_streets else 'add pavements and crossings'}: {command}"
+        what = "crossings and walking areas" if net.paved_streets else "pavements and crossings"
+        return f"add {what}: {self.pave_into(place, limit_mps)}"
 
     def paved_share(self, fastest_mps: float) -> float:
-        """The walkable share in one part that `town pave` makes of the net; 0 where it adds nothing to walk on."""
+        """The walkable share in one part after `town pave`; 0 where it adds nothing to walk on."""
         # It loads what builds streets, which --help must not.
         from wcsim.towns.walking.islands import largest_share, walkable_parts
 
         try:
-            net = net_of(parse_root(self.add_pavements(self._town.net, fastest_mps), "the paved net"), "the paved net")
+            data = self.add_pavements(self._town.net, fastest_mps)
+            net = net_of(parse_root(data, "the paved net"), "the paved net")
         except (SumoError, TownError):
             return 0.0
         kinds = *WALK_KINDS, LaneKind.WALKINGAREA, LaneKind.CROSSING
@@ -95,25 +95,27 @@ class Cures:
         with create_temporary_folder() as folder:
             given, made = folder / "given.net.xml", folder / "made.net.xml"
             given.write_bytes(read_bytes(path))
-            options = ["-s", given.name, "--sidewalks.guess", "--crossings.guess", "--walkingareas", "-o", made.name]
-            options += [
-                "--sidewalks.guess.min-speed",
-                str(_SLOWEST_MPS),
-                "--sidewalks.guess.max-speed",
-                str(fastest_mps),
-            ]
-            options += ["--crossings.guess.speed-threshold", str(fastest_mps), "--offset.disable-normalization"]
-            options += ["--no-internal-links", "false"]  # crossings lie on such; netconvert gives none to a net without
+            options = ["-s", given.name, "-o", made.name]
+            options += ["--sidewalks.guess", "--crossings.guess", "--walkingareas"]
+            options += ["--sidewalks.guess.min-speed", str(_SLOWEST_MPS)]
+            options += ["--sidewalks.guess.max-speed", str(fastest_mps)]
+            options += ["--crossings.guess.speed-threshold", str(fastest_mps)]
+            # Crossings lie on internal links, and netconvert gives none to a net without them.
+            options += ["--offset.disable-normalization", "--no-internal-links", "false"]
             options += by_file({"sidewalks.guess.exclude": bare}, folder / "unpaved.netccfg")
             run = run_tool("netconvert", [*options, "--xml-validation", "never"], folder, _LIMITS)
             if run.returncode or not made.is_file():
-                raise SumoError(f"{path.name}: cannot be given pavements: {run.reason()}; repair it in netedit")
+                raise SumoError(
+                    f"{path.name}: cannot be given pavements: {run.reason()}; repair it in netedit"
+                )
             return without_comments(made.read_bytes())
 
     def pave_into(self, out: Path, fastest_mps: float) -> str:
-        """The command that paves a scenario into a new folder, streets of up to `fastest_mps` too."""
+        """The command that paves a scenario into a new folder, streets up to `fastest_mps` too."""
         options = f" --max-speed {math.ceil(fastest_mps)}" if fastest_mps > FASTEST_MPS else ""
-        return f"wcsim town pave {self._sumocfg} --out {shlex.quote(str(out))}{self._outside}{options}"
+        return (
+            f"wcsim town pave {self._sumocfg} --out {shlex.quote(str(out))}{self._outside}{options}"
+        )
 
     def traffic_alone(self) -> str:
         """The command that runs a scenario's traffic without wheelchairs."""
@@ -132,32 +134,37 @@ class Cures:
         begin_s, end_s = self.own_time()
         tool = shlex.join([sys.executable, str(sumo_home() / "tools" / "randomTrips.py")])
         return (
-            f"create walkers.rou.xml with this command, and name it in {self._sumocfg}, within <input>, "
-            f'in the value of <route-files value="..."/>: {tool} -n {self._net} '
-            f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + _HOUR_S):.12g} "
+            f"create walkers.rou.xml with this command, and name it in {self._sumocfg}, "
+            f'within <input>, in the value of <route-files value="..."/>: {tool} -n {self._net} '
+            "--pedestrians --prefix walker "
+            f"-b {begin_s:.12g} -e {min(end_s, begin_s + _HOUR_S):.12g} "
             f"-r {self._beside('walkers.rou.xml')} -o {self._beside('walkers.trips.xml')}"
         )
 
     def own_time(self) -> tuple[float, float]:
-        """When the scenario begins and ends, in s; an hour after its begin where it names no end. Raises TownError."""
+        """Begin and end of the scenario in s; without an end it takes an hour. Raises TownError."""
         config = read_configuration(self._town.sumocfg)
         begin_s, end_s = config.seconds("begin", "0"), config.seconds("end", "-1")
         return begin_s, end_s if end_s > begin_s else begin_s + _HOUR_S
 
     @staticmethod
     def signals(net: Path) -> str:
-        """The command that gives up a net's signal programs for netconvert's own, which have phases for walkers."""
-        return f"rebuild all programs in the net: {_tool('netconvert')} -s {_path(net)} --tls.rebuild -o {_path(net)}"
+        """The command that gives a net netconvert's signal programs, with walkers' phases."""
+        tool = _tool("netconvert")
+        return (
+            f"rebuild all programs in the net: {tool} -s {_path(net)} --tls.rebuild -o {_path(net)}"
+        )
 
     def again(self, task: str, rebuild: str) -> str:
-        """What to do, and the command that builds a town again in its folder; it says whose work would be lost."""
+        """A task, the work that it discards, and the command that builds a town again."""
         folder = self._town.folder
         work = own_work(folder)
         lost = f" (this discards your changes to {', '.join(work)})" if work else ""
-        return f"{task}{lost}: cd {shlex.quote(str(folder.resolve()))} && {rebuild}{' --replace' * bool(work)}"
+        command = f"cd {shlex.quote(str(folder.resolve()))} && {rebuild}"
+        return f"{task}{lost}: {command}{' --replace' * bool(work)}"
 
     def larger(self) -> str:
-        """The command that downloads and imports a town with more around it: its own extract was cut to its box."""
+        """The command that imports more around a town: its own extract was cut to its box."""
         words = shlex.split(self._town.file.rebuild)
         try:
             at = next(number for number, word in enumerate(words) if word.startswith("--bbox="))
@@ -187,12 +194,15 @@ class Cures:
         ]
         inside = {path: root for named in needed for path, root in read[named].items()}
         typed = [path.name for path, root in inside.items() if _has_types(root)]
-        twice = typed if any(_has_types(root) for path in town.routes for root in _whole(path, town).values()) else []
+        demand = [root for path in town.routes for root in _whole(path, town).values()]
+        twice = typed if any(map(_has_types, demand)) else []
         deadly = [path.name for path, root in inside.items() if root.find(DEADLY) is not None]
         more = f" -a {_paths(needed)}" if needed else ""
-        more += " --vtype-output /dev/null" if typed and not twice else ""  # SUMO takes each type once
+        # SUMO takes each type once.
+        more += " --vtype-output /dev/null" if typed and not twice else ""
         return (
-            f"{_before_routing(deadly, twice)}create {_ROUTED} with this command, and name it in {self._sumocfg}: "
+            f"{_by_hand(deadly, twice)}"
+            f"create {_ROUTED} with this command, and name it in {self._sumocfg}: "
             f"{_tool('duarouter')} -n {self._net} -r {_paths(town.routes)}{more} "
             f"--unsorted-input --ignore-errors -o {self._beside(_ROUTED)}"
         )
@@ -201,12 +211,15 @@ class Cures:
         return _path(self._town.sumocfg.with_name(name))
 
 
-def _before_routing(deadly: list[str], twice: list[str]) -> str:
-    """What has to be done by hand to files of these names before a demand is routed again."""
-    first = f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, " if deadly else ""
-    return first + (
-        f"remove the vehicle types from {', '.join(twice)}, because {_ROUTED} will contain them, " if twice else ""
-    )
+def _by_hand(deadly: list[str], twice: list[str]) -> str:
+    """What has to be done to files of these names before a demand is routed again."""
+    first = ""
+    if deadly:
+        first += f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, "
+    if twice:
+        first += f"remove the vehicle types from {', '.join(twice)}, "
+        first += f"because {_ROUTED} will contain them, "
+    return first
 
 
 def _whole(path: Path, town: Town) -> dict[Path, Element]:

@@ -1,12 +1,13 @@
 """Endless traffic for a town: flows of every class that do not run dry, from a seed.
 
-Ways from edge to edge are drawn, routed once by SUMO's `duarouter`, and those that it cannot route are left out; the
-flows carry the routes, so that nothing is left to fail while the simulation runs. SUMO makes all people of a personFlow
-when it reads it (48 hours of them: 2.4 s and 200 MB), but reads its files only a little ahead of the clock; so the
-people come in slices, each along a part of the ways.
+Ways from edge to edge are drawn, routed once by SUMO's `duarouter`, and those that it cannot route
+are left out; the flows carry the routes, so that nothing is left to fail while the simulation runs.
+SUMO makes all people of a personFlow when it reads it (48 hours of them: 2.4 s and 200 MB), but
+reads its files only a little ahead of the clock; so the people come in slices, each along a part of
+the ways.
 
-A trial run finds walking ways on which people get stuck. Where SUMO's pavements are pinched, people block each other
-for minutes, and with them the cars that wait for them.
+A trial run finds walking ways on which people get stuck. Where SUMO's pavements are pinched, people
+block each other for minutes, and with them the cars that wait for them.
 """
 
 import math
@@ -32,7 +33,9 @@ END_S = 1_000_000  # eleven days: longer than any run
 _WALK_END_S = 172_800
 _SLICE_S = 600
 _SLICE_SHARE = 0.25  # of the walking ways are in use during one slice
+_SHORTEST_M = 12.0  # no vehicle is put on a shorter edge
 _VTYPES = "vtypes.xml"
+_DATA = read_module_toml(__file__)
 
 TRIAL_S = 600
 ROUNDS = 2
@@ -56,7 +59,6 @@ class _Traffic(NamedTuple):
         return self.vclass == "pedestrian"
 
 
-_DATA = read_module_toml(__file__)
 MIX = tuple(_Traffic(**row) for row in _DATA["mix"])
 CLASSES = tuple(dict.fromkeys(traffic.vclass for traffic in MIX))
 
@@ -72,68 +74,110 @@ class Way:
 def build_ways(net: Net, net_path: Path, folder: Path, seed: int) -> tuple[Way, ...]:
     """Ways of all classes through a net; `folder` is for files in between. Raises SumoError."""
     drawn = [(traffic, pair) for traffic in MIX for pair in _draw(net, traffic, seed)]
-    return _choose(net, drawn, _route(net_path, folder, drawn, seed))
+    routed = _route(net_path, folder, drawn, seed)
+    # The first ways that can be driven and are long enough are taken, as many as a class needs.
+    length_m = {edge.id: edge.lanes[0].length_m for edge in net.edges if edge.lanes}
+    left = {traffic.types: _flow_count(net, traffic) for traffic in MIX}
+    ways: list[Way] = []
+    for number, (traffic, _) in enumerate(drawn):
+        edges = routed.get(number, [])
+        way_m = sum(length_m[edge] for edge in edges)
+        if left[traffic.types] and edges and way_m >= traffic.shortest_m:
+            left[traffic.types] -= 1
+            ways.append(Way(traffic=traffic, edges=tuple(edges)))
+    return tuple(ways)
 
 
 def vtypes_text(more: Sequence[str] = ()) -> str:
-    """The vehicle and person types that the flows name, as a SUMO additional file, with `more` elements in it."""
+    """The vehicle and person types of the flows, as a SUMO additional file with `more` elements."""
     text = (Path(__file__).parent / _VTYPES).read_text(encoding="utf-8")
-    return text.replace("</additional>", "".join(f"    {line}\n" for line in more) + "</additional>")
+    lines = "".join(f"    {line}\n" for line in more)
+    return text.replace("</additional>", f"{lines}</additional>")
 
 
-def _usable_km(net: Net, vclass: str) -> float:
-    """Kilometres of street lane that a class may use."""
-    return sum(lane.length_m for edge in net.streets for lane in edge.lanes if lane.permits(vclass)) / 1e3
+def write_demand(
+    sumocfg: Path,
+    net: Net,
+    ways: tuple[Way, ...],
+    seed: int,
+    scale: float = 1.0,
+    per_hour: Mapping[str, float] | None = None,
+    first: Sequence[str] = (),
+) -> None:
+    """Write the route file of a town's folder, <stem of its sumocfg>.rou.xml.gz.
 
-
-def _wanted_flows(net: Net, traffic: _Traffic) -> int:
-    km = _usable_km(net, traffic.vclass)
-    return max(1, round(traffic.flows_per_km * km)) if km > 0 else 0
+    It has endless flows along `ways`, without the walking ones on which people get stuck, after the
+    elements `first`. Its types are in `vtypes.xml`. A class has as many departures an hour as
+    `per_hour` says, else those of MIX, all times `scale`.
+    """
+    for trials_left in reversed(range(ROUNDS + 1)):
+        text = _flows_text(net, ways, seed, scale, per_hour or {}, first)
+        write_gzip(sumocfg.with_suffix(".rou.xml.gz"), text.encode())
+        stuck = _stuck_ways(sumocfg, ways) if trials_left and ways else ()
+        if not stuck:
+            return
+        ways = tuple(way for way in ways if way not in stuck)
 
 
 def _draw(net: Net, traffic: _Traffic, seed: int) -> list[tuple[str, str]]:
-    """Pairs of edge ids, several times more than wanted: some cannot be routed or turn out too short."""
+    """Pairs of edge ids, several times what is needed: some cannot be routed, or are short."""
     edges = [e for e in net.streets if any(lane.permits(traffic.vclass) for lane in e.lanes)]
-    wanted = _wanted_flows(net, traffic) * 5
-    if len(edges) < 2 or not wanted:
+    most = _flow_count(net, traffic) * 5
+    if len(edges) < 2 or not most:
         return []
     rng = make_rng(seed, "demand", traffic.types)
     first = _weights(edges, {e.end for e in edges}, traffic, start=True)
     last = _weights(edges, {e.start for e in edges}, traffic, start=False)
-    middle_m = np.array([_middle_m(e) for e in edges])  # (E, 2)
+    # At half the length: streets that bow between the same junctions have different middles.
+    lines_m = [e.lanes[0].points_m for e in edges]
+    arcs_m = [arc_of(points_m) for points_m in lines_m]
+    middle_m = np.array(  # (E, 2)
+        [
+            [np.interp(arc_m[-1] / 2, arc_m, column) for column in points_m.T]
+            for points_m, arc_m in zip(lines_m, arcs_m, strict=True)
+        ]
+    )
     pairs: dict[tuple[str, str], None] = {}
-    for _ in range(wanted * 4):
+    for _ in range(most * 4):
         a = int(rng.choice(len(edges), p=first))
         far_m = np.hypot(*(middle_m - middle_m[a]).T)
         weight = last * ((far_m >= 0.6 * traffic.shortest_m) & (far_m <= traffic.longest_m))
         if weight.sum() > 0:
             b = int(rng.choice(len(edges), p=weight / weight.sum()))
             pairs[edges[a].id, edges[b].id] = None
-        if len(pairs) >= wanted:
+        if len(pairs) >= most:
             break
     return list(pairs)
 
 
-def _middle_m(edge: Edge) -> F64:
-    """The point (2,) at half the length of an edge: streets that bow between the same junctions have different ones."""
-    points_m = edge.lanes[0].points_m
-    arc_m = arc_of(points_m)
-    return np.array([np.interp(arc_m[-1] / 2, arc_m, column) for column in points_m.T])
+def _flow_count(net: Net, traffic: _Traffic) -> int:
+    km = _usable_km(net, traffic.vclass)
+    return max(1, round(traffic.flows_per_km * km)) if km > 0 else 0
+
+
+def _usable_km(net: Net, vclass: str) -> float:
+    """Kilometres of street lane that a class may use."""
+    lanes = (lane for edge in net.streets for lane in edge.lanes if lane.permits(vclass))
+    return sum(lane.length_m for lane in lanes) / 1e3
 
 
 def _weights(edges: list[Edge], joined: set[str], traffic: _Traffic, *, start: bool) -> F64:
-    """Chance (E,) of each edge to be an end: by length inside the town, by capacity where the town is cut off."""
+    """Chance (E,) of each edge to be an end.
+
+    It goes by length inside the town, by capacity where the town is cut off.
+    """
     weights = np.empty(len(edges))
     for i, edge in enumerate(edges):
         lanes = [lane for lane in edge.lanes if lane.permits(traffic.vclass)]
         cut = (edge.start if start else edge.end) not in joined
         length_m = max(lane.length_m for lane in lanes)
         capacity = 10.0 * len(lanes) * max(lane.speed_mps for lane in lanes)
-        weights[i] = (
-            traffic.fringe * capacity if cut and not traffic.walks else length_m * (traffic.fringe if cut else 1.0)
-        )
-        if length_m < 12.0 and not traffic.walks:
-            weights[i] = 0.0  # too short to put a vehicle on
+        if length_m < _SHORTEST_M and not traffic.walks:
+            weights[i] = 0.0
+        elif cut:
+            weights[i] = traffic.fringe * (length_m if traffic.walks else capacity)
+        else:
+            weights[i] = length_m
     return weights / weights.sum() if weights.sum() > 0 else np.full(len(edges), 1.0 / len(edges))
 
 
@@ -141,7 +185,8 @@ def _route(
     net_path: Path, folder: Path, drawn: list[tuple[_Traffic, tuple[str, str]]], seed: int
 ) -> dict[int, list[str]]:
     """Edges of each drawn way that duarouter finds, by its number."""
-    trips, types, out = folder / "demand.trips.xml", folder / "demand.types.xml", folder / "demand.routes.xml"
+    trips, types = folder / "demand.trips.xml", folder / "demand.types.xml"
+    out = folder / "demand.routes.xml"
     lines = ["<routes>"]
     for number, (traffic, (a, b)) in enumerate(drawn):
         ends = f"from={quoteattr(a)} to={quoteattr(b)}"
@@ -152,8 +197,8 @@ def _route(
     trips.write_text("\n".join([*lines, "</routes>"]), encoding="utf-8")
     types.write_text(vtypes_text(), encoding="utf-8")
     options = ["-n", str(net_path.resolve()), "-r", trips.name, "-a", types.name, "-o", out.name]
-    options += ["--ignore-errors", "--no-warnings", "--no-step-log", "--seed", str(derive_seed(seed, "duarouter"))]
-    run = run_tool("duarouter", [*options, "--xml-validation", "never"], folder)
+    options += ["--ignore-errors", "--no-warnings", "--no-step-log", "--xml-validation", "never"]
+    run = run_tool("duarouter", [*options, "--seed", str(derive_seed(seed, "duarouter"))], folder)
     if run.returncode:
         raise SumoError(f"no demand could be built: {run.reason()}")
     found: dict[int, list[str]] = {}
@@ -166,82 +211,50 @@ def _route(
     return found
 
 
-def _choose(net: Net, drawn: list[tuple[_Traffic, tuple[str, str]]], routed: dict[int, list[str]]) -> tuple[Way, ...]:
-    length_m = {edge.id: edge.lanes[0].length_m for edge in net.edges if edge.lanes}
-    left = {traffic.types: _wanted_flows(net, traffic) for traffic in MIX}
-    ways: list[Way] = []
-    for number, (traffic, _) in enumerate(drawn):
-        edges = routed.get(number, [])
-        way_m = sum(length_m[edge] for edge in edges)
-        if left[traffic.types] and edges and way_m >= traffic.shortest_m:
-            left[traffic.types] -= 1
-            ways.append(Way(traffic=traffic, edges=tuple(edges)))
-    return tuple(ways)
-
-
 def _flows_text(
-    net: Net, ways: Sequence[Way], seed: int, scale: float, per_hour: Mapping[str, float], first: Sequence[str]
+    net: Net,
+    ways: Sequence[Way],
+    seed: int,
+    scale: float,
+    per_hour: Mapping[str, float],
+    first: Sequence[str],
 ) -> str:
-    """Vehicle flows come first, then person flows by their begin, as SUMO's reading ahead needs it."""
+    """Vehicle flows stand before person flows, these by their begin, as SUMO reads ahead."""
     lines = ["<routes>", *(f"    {line}" for line in first)]
-    order = sorted(MIX, key=lambda traffic: traffic.walks)
-    for traffic in order:
-        mine = [way for way in ways if way.traffic is traffic]
+    for traffic in sorted(MIX, key=lambda traffic: traffic.walks):
+        own = [way for way in ways if way.traffic is traffic]
         usual = traffic.per_h_km * _usable_km(net, traffic.vclass)
         per_s = scale * per_hour.get(traffic.vclass, usual) / 3600.0
-        if not mine or per_s <= 0.0:
+        if not own or per_s <= 0.0:
             continue
-        if traffic.walks:
-            lines += _walks(mine, traffic, per_s, make_rng(seed, "demand", "slices"))
+        edges = [quoteattr(" ".join(way.edges)) for way in own]
+        kind = f'type="{traffic.types}"'
+        if not traffic.walks:
+            rate = f'period="exp({per_s / len(own):.6f})" departLane="best" departSpeed="max"'
+            for number, names in enumerate(edges):
+                head = f'id="{traffic.types}.{number}" {kind} begin="0" end="{END_S}"'
+                lines.append(f"    <flow {head} {rate}><route edges={names}/></flow>")
             continue
-        for number, way in enumerate(mine):
-            head = f'id="{traffic.types}.{number}" type="{traffic.types}" begin="0" end="{END_S}"'
-            route = f"<route edges={quoteattr(' '.join(way.edges))}/>"
-            rate = f'period="exp({per_s / len(mine):.6f})" departLane="best" departSpeed="max"'
-            lines.append(f"    <flow {head} {rate}>{route}</flow>")
+        # People walk in slices of time, each along some of the ways.
+        lines += [f'    <route id="walk.{i}" edges={names}/>' for i, names in enumerate(edges)]
+        rng = make_rng(seed, "demand", "slices")
+        used = max(1, round(_SLICE_SHARE * len(own)))
+        rate = f'period="exp({per_s / used:.6f})"'
+        for number, begin in enumerate(range(0, _WALK_END_S, _SLICE_S)):
+            span = f'begin="{begin}" end="{begin + _SLICE_S}" {rate}'
+            for way in np.sort(rng.choice(len(own), used, replace=False)):
+                head = f'id="{traffic.types}.{number}.{way}" {kind} {span}'
+                walk = f'<walk route="walk.{way}" arrivalPos="random"/>'
+                start = 'departPos="random" departPosLat="random"'
+                lines.append(f"    <personFlow {head} {start}>{walk}</personFlow>")
     return "\n".join([*lines, "</routes>", ""])
 
 
-def _walks(ways: list[Way], traffic: _Traffic, per_s: float, rng: np.random.Generator) -> list[str]:
-    lines = [f'    <route id="walk.{i}" edges={quoteattr(" ".join(way.edges))}/>' for i, way in enumerate(ways)]
-    used = max(1, round(_SLICE_SHARE * len(ways)))
-    rate = f'period="exp({per_s / used:.6f})"'
-    for number, begin in enumerate(range(0, _WALK_END_S, _SLICE_S)):
-        for way in np.sort(rng.choice(len(ways), used, replace=False)):
-            span = f'begin="{begin}" end="{begin + _SLICE_S}" {rate}'
-            head = f'id="{traffic.types}.{number}.{way}" type="{traffic.types}" {span}'
-            walk = f'<walk route="walk.{way}" arrivalPos="random"/>'
-            lines.append(f'    <personFlow {head} departPos="random" departPosLat="random">{walk}</personFlow>')
-    return lines
-
-
-def write_demand(
-    sumocfg: Path,
-    net: Net,
-    ways: tuple[Way, ...],
-    seed: int,
-    scale: float = 1.0,
-    per_hour: Mapping[str, float] | None = None,
-    first: Sequence[str] = (),
-) -> None:
-    """Write the route file of a town's folder, <stem of its sumocfg>.rou.xml.gz; its types are in `vtypes.xml`.
-
-    It has endless flows along `ways`, without the walking ones on which people get stuck, after the elements `first`.
-    A class has as many departures an hour as `per_hour` says, else those of MIX, all times `scale`.
-    """
-    for trials_left in reversed(range(ROUNDS + 1)):
-        text = _flows_text(net, ways, seed, scale, per_hour or {}, first)
-        write_gzip(sumocfg.with_suffix(".rou.xml.gz"), text.encode())
-        stuck = _stuck_ways(sumocfg, ways) if trials_left and ways else ()
-        if not stuck:
-            return
-        ways = tuple(way for way in ways if way not in stuck)
-
-
 def _stuck_ways(sumocfg: Path, ways: tuple[Way, ...]) -> tuple[Way, ...]:
-    """The walking ways on which people got stuck within a trial of TRIAL_S; none when the trial fails.
+    """The walking ways on which people got stuck within a trial of TRIAL_S.
 
-    A trial that fails says nothing about ways; the town is then opened as it is, and `check_town` says what is wrong.
+    A trial that fails says nothing about ways: there are none then. The town is opened as it is,
+    and `check_town` finds what is wrong.
     """
     options = ["-c", sumocfg.name, "--end", str(TRIAL_S), "--no-step-log"]
     try:

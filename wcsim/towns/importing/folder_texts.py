@@ -1,4 +1,4 @@
-"""A new town's folder: the text files in it, the work folder in which it is made, and its move into place."""
+"""A new town's folder: the text files in it, and what may be in its place before."""
 
 import json
 import re
@@ -44,39 +44,40 @@ _SUMOCFG = """\
 def sumocfg_text(name: str, seed: int, routes: str, additional: tuple[str, ...]) -> str:
     """A .sumocfg that opens in sumo-gui as it is: file names are relative.
 
-    Vehicles that cannot depart within 120 s are dropped: in a run of days a blocked entry would else pile up for ever.
+    Vehicles that cannot depart within 120 s are dropped: in a run of days a blocked entry would
+    else pile up for ever.
     """
     line = f'        <additional-files value="{",".join(additional)}"/>\n' if additional else ""
     return _SUMOCFG.format(name=name, seed=seed, routes=routes, additional=line)
 
 
 def write_scenario(folder: Path, name: str, seed: int, vtypes: str) -> None:
-    """Write <name>.sumocfg and <name>.add.xml, and pack <name>.net.xml and <name>.poly.xml; the demand is left out."""
+    """Write <name>.sumocfg and <name>.add.xml, and pack <name>.net.xml and <name>.poly.xml.
+
+    The demand is left out.
+    """
     for kind in ("net", "poly"):
         plain = folder / f"{name}.{kind}.xml"
         write_gzip(folder / f"{plain.name}.gz", without_comments(plain.read_bytes()))
         plain.unlink()
-    routes, additional = f"{name}.rou.xml.gz", (f"{name}.add.xml", f"{name}.poly.xml.gz")
+    additional = f"{name}.add.xml", f"{name}.poly.xml.gz"
     (folder / additional[0]).write_text(vtypes, encoding="utf-8")
-    (folder / f"{name}.sumocfg").write_text(sumocfg_text(name, seed, routes, additional), encoding="utf-8")
+    text = sumocfg_text(name, seed, f"{name}.rou.xml.gz", additional)
+    (folder / f"{name}.sumocfg").write_text(text, encoding="utf-8")
 
 
-def _quoted(value: object) -> str:
-    """A value of TOML, which knows no pairs of escapes as JSON writes for letters beyond 16 bits."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def town_toml_text(*, cycle_paths: bool = False, **told: Any) -> str:
-    """`town.toml`, in the order of `config.TownFile`, whose keys are `told`; empty texts are left out.
+def town_toml_text(*, cycle_paths: bool = False, **values: Any) -> str:
+    """`town.toml` with `values` by keys of `config.TownFile`, in its order, without empty texts.
 
     Raises:
         ConfigError: A value is none that a town can have.
     """
-    file = parse(TownFile, {"chair_ways": chair_ways(cycle_paths), **told}, TOWN_TOML)
+    file = parse(TownFile, {"chair_ways": chair_ways(cycle_paths), **values}, TOWN_TOML)
     keys = file.model_dump(mode="json", exclude={"hashes"}, exclude_none=True)
     lines = [f"{key} = {_quoted(value)}" for key, value in keys.items() if value != ""]
     if file.hashes:
-        lines += ["", "[hashes]", *(f"{_quoted(key)} = {_quoted(value)}" for key, value in file.hashes.items())]
+        lines += ["", "[hashes]"]
+        lines += [f"{_quoted(key)} = {_quoted(value)}" for key, value in file.hashes.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -85,7 +86,9 @@ def check_words(name: str, split: str) -> None:
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
         raise TownError(f"a town cannot be named {name!r}; expected letters, digits, - and _")
     if name in NOT_TOWNS:
-        raise TownError(f"a town cannot be named {name!r}: that folder is reserved; choose another name")
+        raise TownError(
+            f"a town cannot be named {name!r}: that folder is reserved; choose another name"
+        )
     if split not in ("train", "test"):
         raise TownError(f"unknown split {split!r} of town {name}; expected train or test")
 
@@ -105,6 +108,11 @@ def check_place(out: Path, *, overwrite: bool) -> None:
     work = own_work(out) if (out / "town.toml").is_file() and not overwrite else ()
     if work:
         raise TownError(
-            f"{out} contains files that were changed or added later: {join_names(work, 5)}; choose another name "
-            "or --out, or use --replace, which discards them"
+            f"{out} contains files that were changed or added later: {join_names(work, 5)}; "
+            "choose another name or --out, or use --replace, which discards them"
         )
+
+
+def _quoted(value: object) -> str:
+    """A value of TOML, which knows no pairs of escapes, as JSON writes them beyond 16 bits."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,1 +1,1 @@
-"""Towns without a map: streets by SUMO's netgenerate, and all that stands and drives in them, from one seed."""
+"""Towns without a map: streets by SUMO's netgenerate, things and traffic, from one seed."""

@@ -1,4 +1,4 @@
-"""A town by the word that a user types: a name, a path, or `made:SEED`, whose other properties may be chosen, too."""
+"""A town by the word that a user types: a name, a path, or `made:SEED`."""
 
 import re
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from wcsim.errors import ConfigError, TownError
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.scenario.town import Town, find_town, open_town, own_work
 
+MADE: Final = "made"
 KINDS = ("grid", "spider", "random")
 SIZES_M = (300.0, 1500.0)
 MOST_SEED = 2**31 - 1  # SUMO takes no larger one
@@ -30,27 +31,31 @@ class Wishes:
     hill_m: float | None = None  # height of its land; None: the seed's choice
 
 
-def check_wishes(seed: int, wishes: Wishes) -> None:
+def check_town_properties(seed: int, wishes: Wishes) -> None:
     """Raise TownError for a seed that is none, or a property out of its limits."""
     if not 0 <= seed <= MOST_SEED:
         raise TownError(f"seed {seed}; expected 0 to {MOST_SEED}")
     if not SIZES_M[0] <= wishes.size_m <= SIZES_M[1]:
-        raise TownError(f"a size of {wishes.size_m:g} m; expected {SIZES_M[0]:g} to {SIZES_M[1]:g} m from edge to edge")
+        raise TownError(
+            f"a size of {wishes.size_m:g} m; "
+            f"expected {SIZES_M[0]:g} to {SIZES_M[1]:g} m from edge to edge"
+        )
     if wishes.kind not in ("", *KINDS):
-        raise TownError(f"unknown kind {wishes.kind!r} of streets; expected one of: {', '.join(KINDS)}")
+        known = ", ".join(KINDS)
+        raise TownError(f"unknown kind {wishes.kind!r} of streets; expected one of: {known}")
     if not 0.0 <= wishes.traffic <= MOST_TRAFFIC or not 0.0 <= wishes.parked <= 1.0:
         raise TownError(
-            f"traffic {wishes.traffic:g}, parked {wishes.parked:g}; expected 0 to {MOST_TRAFFIC:g}, and 0 to 1"
+            f"traffic {wishes.traffic:g}, parked {wishes.parked:g}; "
+            f"expected 0 to {MOST_TRAFFIC:g}, and 0 to 1"
         )
     if wishes.hill_m is not None and not 0.0 <= wishes.hill_m <= HIGHEST_M:
-        raise TownError(f"a hill of {wishes.hill_m:g} m is not possible; expected 0 to {HIGHEST_M:g} m")
+        raise TownError(
+            f"a hill of {wishes.hill_m:g} m is not possible; expected 0 to {HIGHEST_M:g} m"
+        )
 
 
-MADE: Final = "made"
-
-
-def asked_town(word: str) -> Town:
-    """The town to train in that a word means; `made:SEED` is saved in the cache, and made again where it is not there.
+def requested_town(word: str) -> Town:
+    """The town to train in that a word means; `made:SEED` is made where the cache has none.
 
     Raises:
         ConfigError: A seed is none.
@@ -58,7 +63,9 @@ def asked_town(word: str) -> Town:
         SumoError: One of SUMO's tools failed.
     """
     seed = made_seed(word)
-    return find_town(word) if seed is None else made_town(cache_folder() / "train-towns", seed, "train")
+    if seed is None:
+        return find_town(word)
+    return made_town(cache_folder() / "train-towns", seed, "train")
 
 
 def refuse_held_out_town(town: Town) -> None:
@@ -80,15 +87,23 @@ def made_seed(word: str) -> int | None:
     if kind != MADE or not colon:
         return None
     if not seed.isdecimal() or int(seed) >= 1 << 31:
-        raise ConfigError(f"town {escape(word)!r}: expected {MADE}:SEED with a seed below 2147483648")
+        raise ConfigError(
+            f"town {escape(word)!r}: expected {MADE}:SEED with a seed below 2147483648"
+        )
     return int(seed)
 
 
 def made_town(folder: Path, seed: int, split: str = "test") -> Town:
-    """The town `made-SEED` in a folder, made if it is not there as it was made. Raises TownError or SumoError."""
+    """The town `made-SEED` in a folder, made if it is not there as it was made.
+
+    Raises:
+        TownError: It cannot be made.
+        SumoError: One of SUMO's tools failed.
+    """
     out = folder / f"{MADE}-{seed}"
     if out.is_dir() and not own_work(out):
         return open_town(out)
-    from wcsim.towns.making.maker import make_town  # loads what builds streets
+    # It loads what builds streets.
+    from wcsim.towns.making.maker import make_town
 
     return make_town(out, seed, Wishes(split=split), overwrite=True)

@@ -1,4 +1,4 @@
-"""Street plans as SUMO's netgenerate draws them: junctions and the links between them, without widths or lanes.
+"""Street plans as SUMO's netgenerate draws them: junctions and links, without widths or lanes.
 
 A plan is then made to look grown: links left out, junctions moved, bends, the whole town turned.
 """
@@ -42,7 +42,8 @@ class StreetPlan:
 
     nodes_m: F64  # (N, 2)
     links: tuple[tuple[int, int], ...]  # rows of `nodes_m`
-    lines_m: tuple[F64, ...] = ()  # (K, 2) of each link, from its first junction to its second; none: all are straight
+    # (K, 2) of each link, from its first junction on; none: all are straight.
+    lines_m: tuple[F64, ...] = ()
 
     def graph(self) -> networkx.Graph:
         """The links as a graph; the edges know their number as `link`."""
@@ -52,43 +53,67 @@ class StreetPlan:
         return graph
 
 
-def draw_plan(kind: str, size_m: float, seed: int, rng: np.random.Generator, folder: Path) -> StreetPlan:
-    """A connected plan about `size_m` across, its middle at (0, 0); `folder` is for files in between.
+def draw_plan(
+    kind: str, size_m: float, seed: int, rng: np.random.Generator, folder: Path
+) -> StreetPlan:
+    """A connected plan about `size_m` across, its middle at (0, 0).
 
     Args:
         kind: "grid", "spider" or "random".
         size_m: Width and height.
         seed: For netgenerate.
         rng: Draws the dimensions: block lengths, arms, rings.
-        folder: A place to work in.
+        folder: A place for files in between.
 
     Raises:
         SumoError: netgenerate failed.
     """
+    # 1. Draw it.
     options = {"grid": _grid, "spider": _spider, "random": _random}[kind](size_m, rng)
-    run = run_tool(
-        "netgenerate",
-        [
-            *options,
-            "--seed",
-            str(derive_seed(seed, "netgenerate")),
-            "--plain-output-prefix",
-            "plan",
-            "-o",
-            "plan.net.xml",
-        ],
-        folder,
-        _LIMITS,
-    )
+    options += ["--seed", str(derive_seed(seed, "netgenerate"))]
+    options += ["--plain-output-prefix", "plan", "-o", "plan.net.xml"]
+    run = run_tool("netgenerate", options, folder, _LIMITS)
     if run.returncode:
         raise SumoError(f"no streets could be drawn: {run.reason()}; use another seed or size")
-    plan = _read(folder)
+
+    # 2. Read it.
+    nodes = list(read_root(folder / "plan.nod.xml").iterfind("node"))
+    number = {node.attrib["id"]: row for row, node in enumerate(nodes)}
+    edges = read_root(folder / "plan.edg.xml").iterfind("edge")
+    ends = [(number[edge.attrib["from"]], number[edge.attrib["to"]]) for edge in edges]
+    links = sorted({(min(pair), max(pair)) for pair in ends})
+    nodes_m = np.array([[float(node.attrib["x"]), float(node.attrib["y"])] for node in nodes])
     for path in folder.glob("plan.*"):
         path.unlink()
-    plan = _middle(plan, size_m)
-    if kind == "spider":  # netgenerate attaches streets to the innermost ring only
-        return _with_stubs(plan, rng)
-    return _joined(_merged(plan)) if kind == "random" else plan
+
+    # 3. Cut out a square about its middle.
+    nodes_m -= 0.5 * (nodes_m.min(axis=0) + nodes_m.max(axis=0))
+    inside = np.abs(nodes_m).max(axis=1) <= 0.5 * size_m + 1.0
+    links = [(a, b) for a, b in links if inside[a] and inside[b]]
+    plan = _connected(StreetPlan(nodes_m=nodes_m, links=tuple(links)))
+    if kind == "random":
+        return _joined(_merged(plan))
+    if kind == "grid":
+        return plan
+
+    # 4. Add streets outwards. netgenerate attaches them to the innermost ring of a spider only.
+    far_m = np.hypot(*plan.nodes_m.T)
+    rim = np.flatnonzero(far_m > 0.85 * far_m.max())
+    out_m = plan.nodes_m[rim] * (1.0 + rng.uniform(*_STUB_M) / far_m[rim])[:, None]
+    stubs = [(int(node), len(far_m) + row) for row, node in enumerate(rim)]
+    return StreetPlan(nodes_m=np.vstack([plan.nodes_m, out_m]), links=(*plan.links, *stubs))
+
+
+def shape_plan(plan: StreetPlan, rng: np.random.Generator) -> StreetPlan:
+    """A plan with links left out, junctions moved, some links bent, and all of it turned."""
+    thinned = _thinned(plan, rng.uniform(0.0, 0.22), rng)
+    moved = _moved(thinned, rng)
+    lines = _bent(moved, float(rng.choice([0.0, 0.3, 0.7])), rng)
+    angle_rad = rng.uniform(0.0, 2.0 * np.pi)
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    turn = np.array([[cos, sin], [-sin, cos]])
+    turned = tuple(line @ turn for line in lines)
+    return StreetPlan(nodes_m=moved.nodes_m @ turn, links=moved.links, lines_m=turned)
 
 
 def _connected(plan: StreetPlan) -> StreetPlan:
@@ -96,22 +121,25 @@ def _connected(plan: StreetPlan) -> StreetPlan:
     graph = plan.graph()
     graph.remove_nodes_from([node for node, degree in list(graph.degree()) if degree == 0])
     parts = [sorted(part) for part in networkx.connected_components(graph)]
-    kept = max(parts, key=lambda part: (len(part), -part[0]))
-    number = {node: new for new, node in enumerate(kept)}
+    largest = max(parts, key=lambda part: (len(part), -part[0]))
+    number = {node: new for new, node in enumerate(largest)}
     links = tuple((number[a], number[b]) for a, b in plan.links if a in number and b in number)
-    return StreetPlan(nodes_m=plan.nodes_m[kept], links=links)
+    return StreetPlan(nodes_m=plan.nodes_m[largest], links=links)
 
 
 def _merged(plan: StreetPlan) -> StreetPlan:
-    """With junctions that are too close made one: netgenerate keeps a distance to junctions, but not to streets."""
+    """With junctions that are too close made one.
+
+    netgenerate keeps a distance between junctions, but not to streets.
+    """
     nodes_m, links = plan.nodes_m.copy(), sorted(plan.links)
     while links:
         lengths_m = np.hypot(*(nodes_m[[a for a, _ in links]] - nodes_m[[b for _, b in links]]).T)
         if lengths_m.min() >= _SHORTEST_M:
             break
-        kept, gone = links[int(lengths_m.argmin())]
-        nodes_m[kept] = 0.5 * (nodes_m[kept] + nodes_m[gone])
-        moved = [tuple(kept if node == gone else node for node in link) for link in links]
+        node, other = links[int(lengths_m.argmin())]
+        nodes_m[node] = 0.5 * (nodes_m[node] + nodes_m[other])
+        moved = [tuple(node if end == other else end for end in link) for link in links]
         links = sorted({(min(a, b), max(a, b)) for a, b in moved if a != b})
     return _connected(StreetPlan(nodes_m=nodes_m, links=tuple(links)))
 
@@ -122,7 +150,8 @@ def _grid(size_m: float, rng: np.random.Generator) -> list[str]:
     options = ["--grid", "--grid.attach-length", f"{stub_m:.1f}"]
     for axis, block_m in zip("xy", rng.uniform((75.0, 65.0), (170.0, 110.0)), strict=True):
         blocks = max(1, round(inner_m / block_m))
-        options += [f"--grid.{axis}-number", str(blocks + 1), f"--grid.{axis}-length", f"{inner_m / blocks:.1f}"]
+        options += [f"--grid.{axis}-number", str(blocks + 1)]
+        options += [f"--grid.{axis}-length", f"{inner_m / blocks:.1f}"]
     return options
 
 
@@ -137,27 +166,18 @@ def _spider(size_m: float, rng: np.random.Generator) -> list[str]:
 def _random(size_m: float, rng: np.random.Generator) -> list[str]:
     least_m = rng.uniform(65.0, 90.0)
     options = ["--rand", "--rand.iterations", str(round(_LINKS_PER_HA * (size_m / 100.0) ** 2))]
-    options += [
-        "--rand.min-distance",
-        f"{least_m:.1f}",
-        "--rand.max-distance",
-        f"{rng.uniform(1.5, 1.9) * least_m:.1f}",
-    ]
+    options += ["--rand.min-distance", f"{least_m:.1f}"]
+    options += ["--rand.max-distance", f"{rng.uniform(1.5, 1.9) * least_m:.1f}"]
     options += ["--rand.min-angle", "55", "--rand.connectivity", f"{rng.uniform(0.9, 0.99):.2f}"]
-    return [*options, "--rand.neighbor-dist1", "0", "--rand.neighbor-dist3", "10", "--rand.neighbor-dist4", "10"]
-
-
-def _with_stubs(plan: StreetPlan, rng: np.random.Generator) -> StreetPlan:
-    """With a street outwards from each junction of the rim."""
-    far_m = np.hypot(*plan.nodes_m.T)
-    rim = np.flatnonzero(far_m > 0.85 * far_m.max())
-    out_m = plan.nodes_m[rim] * (1.0 + rng.uniform(*_STUB_M) / far_m[rim])[:, None]
-    links = [(int(node), len(far_m) + number) for number, node in enumerate(rim)]
-    return StreetPlan(nodes_m=np.vstack([plan.nodes_m, out_m]), links=(*plan.links, *links))
+    options += ["--rand.neighbor-dist1", "0", "--rand.neighbor-dist3", "10"]
+    return [*options, "--rand.neighbor-dist4", "10"]
 
 
 def _joined(plan: StreetPlan) -> StreetPlan:
-    """With links between near junctions that have none, the shortest first, where angles stay wide: no lone loops."""
+    """With links between near junctions that have none, the shortest first, where angles stay wide.
+
+    So no loop hangs on the rest by one street.
+    """
     links: list[tuple[int, int]] = []
     lines: list[shapely.LineString] = []
     for link in plan.links:
@@ -171,17 +191,20 @@ def _joined(plan: StreetPlan) -> StreetPlan:
     pairs = sorted((apart_m[a, b], a, b) for a, b in near.tolist())
     for _, a, b in pairs:
         line = shapely.LineString(plan.nodes_m[[a, b]])
-        if (
-            not _crowded(line, (a, b), links, lines)
-            and min(_gap_rad(plan.nodes_m, links, a, b), _gap_rad(plan.nodes_m, links, b, a)) > _WIDE_RAD
-        ):
+        if _crowded(line, (a, b), links, lines):
+            continue
+        gaps_rad = [_gap_rad(plan.nodes_m, links, *ends) for ends in ((a, b), (b, a))]
+        if min(gaps_rad) > _WIDE_RAD:
             links.append((min(a, b), max(a, b)))
             lines.append(line)
     return _connected(StreetPlan(nodes_m=plan.nodes_m, links=tuple(sorted(set(links)))))
 
 
 def _crowded(
-    line: shapely.LineString, link: tuple[int, int], links: list[tuple[int, int]], lines: list[shapely.LineString]
+    line: shapely.LineString,
+    link: tuple[int, int],
+    links: list[tuple[int, int]],
+    lines: list[shapely.LineString],
 ) -> bool:
     """Whether a line comes too near to others that it does not meet at a junction."""
     others = (other for ends, other in zip(links, lines, strict=True) if not set(link) & set(ends))
@@ -193,42 +216,14 @@ def _gap_rad(nodes_m: F64, links: list[tuple[int, int]], node: int, other: int) 
     ends = [a + b - node for a, b in links if node in (a, b)]
     ways = nodes_m[[other, *ends]] - nodes_m[node]
     turn_rad = np.arctan2(*ways.T[::-1])
-    return float(np.abs((turn_rad[1:] - turn_rad[0] + np.pi) % (2.0 * np.pi) - np.pi).min(initial=np.pi))
-
-
-def _read(folder: Path) -> StreetPlan:
-    nodes = list(read_root(folder / "plan.nod.xml").iterfind("node"))
-    number = {node.attrib["id"]: row for row, node in enumerate(nodes)}
-    ends = [
-        (number[e.attrib["from"]], number[e.attrib["to"]]) for e in read_root(folder / "plan.edg.xml").iterfind("edge")
-    ]
-    links = sorted({(min(pair), max(pair)) for pair in ends})
-    nodes_m = np.array([[float(node.attrib["x"]), float(node.attrib["y"])] for node in nodes])
-    return StreetPlan(nodes_m=nodes_m, links=tuple(links))
-
-
-def _middle(plan: StreetPlan, size_m: float) -> StreetPlan:
-    """The part of a plan within a square of `size_m` about its middle."""
-    nodes_m = plan.nodes_m - 0.5 * (plan.nodes_m.min(axis=0) + plan.nodes_m.max(axis=0))
-    inside = np.abs(nodes_m).max(axis=1) <= 0.5 * size_m + 1.0
-    links = tuple((a, b) for a, b in plan.links if inside[a] and inside[b])
-    return _connected(StreetPlan(nodes_m=nodes_m, links=links))
-
-
-def shape_plan(plan: StreetPlan, rng: np.random.Generator) -> StreetPlan:
-    """A plan with lines, links left out, junctions moved, some links bent, and all of it turned by a random angle."""
-    thinned = _thinned(plan, rng.uniform(0.0, 0.22), rng)
-    moved = _moved(thinned, rng)
-    lines = _bent(moved, float(rng.choice([0.0, 0.3, 0.7])), rng)
-    angle_rad = rng.uniform(0.0, 2.0 * np.pi)
-    turn = np.array([[np.cos(angle_rad), np.sin(angle_rad)], [-np.sin(angle_rad), np.cos(angle_rad)]])
-    return StreetPlan(nodes_m=moved.nodes_m @ turn, links=moved.links, lines_m=tuple(line @ turn for line in lines))
+    gaps_rad = np.abs((turn_rad[1:] - turn_rad[0] + np.pi) % (2.0 * np.pi) - np.pi)
+    return float(gaps_rad.min(initial=np.pi))
 
 
 def _thinned(plan: StreetPlan, share: float, rng: np.random.Generator) -> StreetPlan:
-    """Without some links, and without most streets that only lead out; everything still hangs together."""
+    """Without some links, and most streets that only lead out; the rest hangs together."""
     graph = plan.graph()
-    wanted, dropped = round(share * len(plan.links)), set()
+    left, dropped = round(share * len(plan.links)), set()
     stubs = rng.uniform(0.3, 0.9)
     for number in rng.permutation(len(plan.links)).tolist():
         a, b = plan.links[number]
@@ -237,10 +232,11 @@ def _thinned(plan: StreetPlan, share: float, rng: np.random.Generator) -> Street
             if degrees[1] > 2 and rng.random() > stubs:
                 graph.remove_edge(a, b)
                 dropped.add(number)
-        elif wanted and degrees[0] > 2 and _go_on(plan, graph, a, b) and _go_on(plan, graph, b, a):
+        elif left and degrees[0] > 2 and _go_on(plan, graph, a, b) and _go_on(plan, graph, b, a):
             graph.remove_edge(a, b)
-            if networkx.edge_connectivity(graph, a, b) > 1:  # two ways at least are left between its ends
-                wanted -= 1
+            # Two ways at least must be left between its ends.
+            if networkx.edge_connectivity(graph, a, b) > 1:
+                left -= 1
                 dropped.add(number)
             else:
                 graph.add_edge(a, b, link=number)
@@ -280,22 +276,18 @@ def _bent(plan: StreetPlan, share: float, rng: np.random.Generator) -> list[F64]
     lines = [plan.nodes_m[list(link)] for link in plan.links]
     for number, line in enumerate(lines):
         drawn, bow = rng.random(), rng.uniform(-0.12, 0.12)
-        if drawn < share and np.hypot(*(line[1] - line[0])) > _BOWED_LINK_M:
-            straight, lines[number] = line, _bowed(line, bow)
+        along = line[1] - line[0]
+        if drawn < share and np.hypot(*along) > _BOWED_LINK_M:
+            way = np.linspace(0.0, 1.0, _BOW_POINTS)[:, None]
+            aside = 4.0 * bow * way * (1.0 - way) * left_of(along)
+            lines[number] = line[0] + way * along + aside
             if not _has_room(plan, lines):
-                lines[number] = straight
+                lines[number] = line
     return lines
 
 
-def _bowed(line: F64, bow: float) -> F64:
-    along = line[1] - line[0]
-    aside = left_of(along)
-    share = np.linspace(0.0, 1.0, _BOW_POINTS)[:, None]
-    return np.asarray(line[0] + share * along + 4.0 * bow * share * (1.0 - share) * aside)
-
-
 def _has_room(plan: StreetPlan, lines: Sequence[F64]) -> bool:
-    """Whether junctions have room: no sharp angles, no short links, no streets beside each other."""
+    """Whether junctions have room: no sharp angles, short links, or streets beside each other."""
     degree = np.bincount(np.array(plan.links).ravel(), minlength=len(plan.nodes_m))
     for (a, b), line in zip(plan.links, lines, strict=True):
         stub = min(degree[a], degree[b]) == 1

@@ -1,1 +1,1 @@
-"""OpenStreetMap extracts: read, cut, cleaned, and what their tags mean. Not the net that is made of them."""
+"""OpenStreetMap extracts: read, cut and clean them, and the meaning of tags; no nets."""

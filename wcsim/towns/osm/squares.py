@@ -1,8 +1,8 @@
-"""Squares of an extract: ground that people and chairs cross anywhere, and ways on foot between their entries.
+"""Squares of an extract: ground that people cross anywhere, and ways on foot between entries.
 
-netconvert reads no areas, and polyconvert fills their holes. So each square becomes outlines of its own, with slits to
-its holes, and netconvert gets ways over it: straight lines between the places where ways meet the square, around
-holes, buildings, streets and rails.
+netconvert reads no areas, and polyconvert fills their holes. So each square becomes outlines of its
+own, with slits to its holes, and netconvert gets ways over it: straight lines between the places
+where ways meet the square, around holes, buildings, streets and rails.
 """
 
 import itertools
@@ -37,7 +37,7 @@ _Line = list[tuple[float, float]]  # its points in metres
 
 
 def cross_squares(root: Element, keep_service: bool) -> set[str]:
-    """Draw the squares of an extract as outlines with slits, and ways on foot over them; changes `root`.
+    """Draw squares as outlines with slits, and ways on foot over them; changes `root`.
 
     Args:
         root: The extract, without what is not at street level.
@@ -66,9 +66,13 @@ def cross_squares(root: Element, keep_service: bool) -> set[str]:
     places = [*ways]
     tree = shapely.STRtree([Point(place) for place in places])
     crossed: set[str] = set()
-    for area in polygons_of(shapely.union_all([square.buffer(_NEAR_M) for square in squares.values()])):
+    for area in polygons_of(
+        shapely.union_all([square.buffer(_NEAR_M) for square in squares.values()])
+    ):
         inside = ways.subgraph(places[k] for k in tree.query(area, predicate="intersects"))
-        for line in _ways_over(area.difference(solid), ways, inside, roads.intersection(area.buffer(_STREET_M))):
+        for line in _ways_over(
+            area.difference(solid), ways, inside, roads.intersection(area.buffer(_STREET_M))
+        ):
             plan.add_way(line, "highway", "footway")
             crossed.update(name for name in squares if squares[name].intersects(area))
     if crossed:  # netconvert reads nodes, then ways, then relations
@@ -77,16 +81,23 @@ def cross_squares(root: Element, keep_service: bool) -> set[str]:
 
 
 def _is_square(item: Element, tags: dict[str, str]) -> bool:
-    whole = item.tag == "relation" or tags.get("area") == "yes"  # else people walk along its line
-    kind = tags.get("area:highway", tags.get("place", tags.get("highway") if whole else None))
-    closed = tags.get("foot", tags.get("access")) in _TAGS["closed"]
-    return kind in _TAGS["squares"] and not closed and not off_ground(tags)
+    """Whether a way or a relation is a square on the ground that is open to people."""
+    # Without an area people walk along a line.
+    is_area = item.tag == "relation" or tags.get("area") == "yes"
+    highway = tags.get("highway") if is_area else None
+    kind = tags.get("area:highway", tags.get("place", highway))
+    is_closed = tags.get("foot", tags.get("access")) in _TAGS["closed"]
+    return kind in _TAGS["squares"] and not is_closed and not off_ground(tags)
 
 
-def _ways_over(area: BaseGeometry, ways: networkx.Graph, inside: networkx.Graph, roads: BaseGeometry) -> list[_Line]:
+def _ways_over(
+    area: BaseGeometry, ways: networkx.Graph, inside: networkx.Graph, roads: BaseGeometry
+) -> list[_Line]:
     """The ways on foot over an area that are lacking; `inside` is what of all `ways` lies there."""
     # An entry is where a way ends on the area, or leaves it.
-    entries = sorted(place for place in inside if len(ways[place]) < 2 or len(inside[place]) < len(ways[place]))
+    entries = sorted(
+        place for place in inside if len(ways[place]) < 2 or len(inside[place]) < len(ways[place])
+    )
     entries = entries[:: 1 + len(entries) // _MOST_ENTRIES]
     clear = area.buffer(-_CLEAR_M, join_style="mitre").simplify(_THIN_M)
     clear = clear.difference(roads.buffer(_STREET_M, quad_segs=1))
@@ -98,8 +109,12 @@ def _ways_over(area: BaseGeometry, ways: networkx.Graph, inside: networkx.Graph,
     # Short ways come first, and a longer one only where those would be a long way round.
     clear = clear.union(area.intersection(MultiPoint(entries).buffer(_MOUTH_M, quad_segs=1)))
     found: list[LineString] = []
-    for start, end in sorted(itertools.combinations(entries, 2), key=lambda pair: (dist(*pair), pair)):
-        lengths_m = networkx.single_source_dijkstra_path_length(there, start, weight=lambda p, q, _: dist(p, q))
+    for start, end in sorted(
+        itertools.combinations(entries, 2), key=lambda pair: (dist(*pair), pair)
+    ):
+        lengths_m = networkx.single_source_dijkstra_path_length(
+            there, start, weight=lambda p, q, _: dist(p, q)
+        )
         round_m = lengths_m.get(end, inf)
         if round_m > _DETOUR * dist(start, end):
             way = shortest_inside(clear, np.array(start), np.array(end))
@@ -121,16 +136,26 @@ class _Plan:
         self._root = root
         self._east_m = _M_PER_DEG * cos(deg2rad(float(next(root.iter("node")).attrib["lat"])))
         places = {
-            node.attrib["id"]: (float(node.attrib["lon"]) * self._east_m, float(node.attrib["lat"]) * _M_PER_DEG)
+            node.attrib["id"]: (
+                float(node.attrib["lon"]) * self._east_m,
+                float(node.attrib["lat"]) * _M_PER_DEG,
+            )
             for node in root.iter("node")
         }
         self._nodes = {places[nd.attrib["ref"]]: nd.attrib["ref"] for nd in root.iter("nd")}
-        self._lines = {way.get("id"): [places[nd.attrib["ref"]] for nd in way.iter("nd")] for way in root.iter("way")}
-        self._new_ids = map(str, itertools.count(1 + max(int(item.attrib["id"].lstrip("-")) for item in root)))
+        self._lines = {
+            way.get("id"): [places[nd.attrib["ref"]] for nd in way.iter("nd")]
+            for way in root.iter("way")
+        }
+        self._new_ids = map(
+            str, itertools.count(1 + max(int(item.attrib["id"].lstrip("-")) for item in root))
+        )
 
     def lines(self, item: Element) -> list[_Line]:
         """The line of a way, or those of a relation's members."""
-        ways = [member.get("ref") for member in item.iterfind("member[@type='way']")] or [item.get("id")]
+        ways = [member.get("ref") for member in item.iterfind("member[@type='way']")] or [
+            item.get("id")
+        ]
         return [self._lines[way] for way in ways if way in self._lines]
 
     def area(self, item: Element) -> BaseGeometry:
@@ -157,6 +182,8 @@ class _Plan:
             if place not in self._nodes:
                 self._nodes[place] = next(self._new_ids)
                 east, north = str(place[0] / self._east_m), str(place[1] / _M_PER_DEG)
-                SubElement(self._root, "node", {"id": self._nodes[place], "lon": east, "lat": north})
+                SubElement(
+                    self._root, "node", {"id": self._nodes[place], "lon": east, "lat": north}
+                )
             SubElement(way, "nd", {"ref": self._nodes[place]})
         SubElement(way, "tag", {"k": key, "v": value})

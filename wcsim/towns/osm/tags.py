@@ -1,4 +1,4 @@
-"""What OpenStreetMap's tags say about being on the ground, below it, above it, or indoors, and lengths in them.
+"""What OpenStreetMap's tags mean: on the ground, below it, above it or indoors, and lengths.
 
 What becomes of the tags of pavements, crossings, kerbs and footways is a table, `tags.toml`.
 """
@@ -23,36 +23,45 @@ _CONDITION = re.compile(r"([\w:]+)([=<>])(\S+)")
 _SIDES = {"kerb_left": 1, "kerb_right": -1, "kerb": 0, "barrier": 0}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TagRow:
+    """What becomes of some tags: a row of the table."""
+
+    on: str  # what they are on
+    tags: str  # key=value|value, key=*, key<number or key>number, with blanks between them
+    becomes: str  # in words
+    means: str = ""  # word=word; "": they are not read here
+
+
+ROWS: Final = tuple(_TagRow(**row) for row in read_module_toml(__file__)["row"])
+
+
 def metres(text: str) -> float | None:
     """A length in OpenStreetMap's spelling, or None; of several the largest.
 
-    >>> metres("12.5 m"), metres("4 cm"), metres("40 ft"), metres("3;4,5"), metres("12'"), metres("about ten")
-    (12.5, 0.04, 12.192, 4.5, 3.6576, None)
+    >>> metres("12.5 m"), metres("4 cm"), metres("40 ft")
+    (12.5, 0.04, 12.192)
+    >>> metres("3;4,5"), metres("12'"), metres("about ten")
+    (4.5, 3.6576, None)
     """
     known = [value for value in map(_one, text.split(";")) if value is not None]
     return max(known) if known else None
 
 
-def _one(text: str) -> float | None:
-    plain = text.strip().lower().replace(",", ".").lstrip("~")
-    feet = re.fullmatch(r"(\d{1,4}(?:\.\d+)?)\s*'\s*(?:(\d{1,2}(?:\.\d+)?)\s*\")?", plain)
-    if feet:
-        return round((float(feet[1]) + float(feet[2] or 0.0) / 12.0) * _FOOT_M, 4)
-    found = re.fullmatch(r"(-?\d{1,6}(?:\.\d+)?)\s*(m|metre|metres|meter|meters|cm|ft|feet)?", plain)
-    if not found:
-        return None
-    return round(float(found[1]) * _UNIT_M.get(found[2], 1.0), 4)
-
-
 def off_ground(tags: Mapping[str, str]) -> bool:
-    """True for things that are not on the street: under ground, indoors, on bridges or upper floors.
+    """True for things under ground, indoors, on bridges or upper floors.
 
-    >>> off_ground({"level": "0;1"}), off_ground({"level": "-1"}), off_ground({"layer": "1"}), off_ground({})
-    (False, True, True, False)
+    >>> off_ground({"level": "0;1"}), off_ground({"level": "-1"})
+    (False, True)
+    >>> off_ground({"layer": "1"}), off_ground({})
+    (True, False)
     """
+    # "0-2" names the levels 0 and 2.
+    texts = re.findall(r"-?\d+(?:\.\d+)?", tags.get("level", ""))
+    levels = [float(text) for text in texts]
     return (
         number(tags, "layer") != 0.0
-        or not _has_ground_level(tags.get("level", ""))
+        or (bool(levels) and 0.0 not in levels)
         or tags.get("location", "") in _INSIDE
         or tags.get("indoor", "no") not in _NO
         or tags.get("tunnel", "no") not in _NO
@@ -64,8 +73,10 @@ def off_ground(tags: Mapping[str, str]) -> bool:
 def rise_m(tags: Mapping[str, str]) -> float:
     """How far above the ground a thing begins: 0 for what stands on it.
 
-    >>> rise_m({"min_height": "4 m"}), rise_m({"building:min_level": "2"}), rise_m({"min_height": "low"})
-    (4.0, 6.4, 0.0)
+    >>> rise_m({"min_height": "4 m"}), rise_m({"min_height": "low"})
+    (4.0, 0.0)
+    >>> rise_m({"building:min_level": "2"})
+    6.4
     """
     height_m = metres(tags.get("min_height", ""))
     if height_m is not None:
@@ -83,25 +94,6 @@ def number(tags: Mapping[str, str], key: str) -> float:
     return 0.0 if value is None else value
 
 
-def _has_ground_level(text: str) -> bool:
-    """True for no level at all, or levels with 0 among them; "0-2" names 0 and 2."""
-    levels = [float(found) for found in re.findall(r"-?\d+(?:\.\d+)?", text)]
-    return not levels or 0.0 in levels
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _TagRow:
-    """What becomes of some tags: a row of the table."""
-
-    on: str  # what they are on
-    tags: str  # key=value|value, key=*, key<number or key>number, with blanks between them
-    becomes: str  # in words
-    means: str = ""  # word=word; "": they are not read here
-
-
-ROWS: Final = tuple(_TagRow(**row) for row in read_module_toml(__file__)["row"])
-
-
 def meanings(on: str, tags: Mapping[str, str]) -> dict[str, str]:
     """What the table makes of the tags of a thing.
 
@@ -116,22 +108,16 @@ def meanings(on: str, tags: Mapping[str, str]) -> dict[str, str]:
     return found
 
 
-def _fits(key: str, sign: str, values: str, tags: Mapping[str, str]) -> bool:
-    text = tags.get(key)
-    if text is None or values == "*":
-        return text is not None
-    if sign == "=":
-        return not {word.strip() for word in text.split(";")}.isdisjoint(values.split("|"))
-    amount = metres(text.rstrip("% "))
-    return amount is not None and (abs(amount) < float(values) if sign == "<" else abs(amount) > float(values))
-
-
 def kerb_marks(items: Iterable[Item]) -> list[KerbMark]:
     """The kerbs among the things of a town; many are there twice, as a barrier and as a kerb."""
     found: dict[tuple[int, bytes], KerbMark] = {}
     for item in items:
         barrier = item.group == "barrier"
-        if item.group not in _SIDES or (barrier and item.detail != "kerb") or not len(item.points_W_m):
+        if (
+            item.group not in _SIDES
+            or (barrier and item.detail != "kerb")
+            or not len(item.points_W_m)
+        ):
             continue
         keys = ("kerb:height", "height") if barrier else ("kerb:height",)
         tags = {key: item.tags[key] for key in keys if metres(item.tags.get(key, "")) is not None}
@@ -148,3 +134,28 @@ def kerb_marks(items: Iterable[Item]) -> list[KerbMark]:
         )
         found.setdefault((mark.side, points.tobytes()), mark)
     return list(found.values())
+
+
+def _one(text: str) -> float | None:
+    plain = text.strip().lower().replace(",", ".").lstrip("~")
+    feet = re.fullmatch(r"(\d{1,4}(?:\.\d+)?)\s*'\s*(?:(\d{1,2}(?:\.\d+)?)\s*\")?", plain)
+    if feet:
+        return round((float(feet[1]) + float(feet[2] or 0.0) / 12.0) * _FOOT_M, 4)
+    found = re.fullmatch(
+        r"(-?\d{1,6}(?:\.\d+)?)\s*(m|metre|metres|meter|meters|cm|ft|feet)?", plain
+    )
+    if not found:
+        return None
+    return round(float(found[1]) * _UNIT_M.get(found[2], 1.0), 4)
+
+
+def _fits(key: str, sign: str, values: str, tags: Mapping[str, str]) -> bool:
+    text = tags.get(key)
+    if text is None or values == "*":
+        return text is not None
+    if sign == "=":
+        return not {word.strip() for word in text.split(";")}.isdisjoint(values.split("|"))
+    amount = metres(text.rstrip("% "))
+    return amount is not None and (
+        abs(amount) < float(values) if sign == "<" else abs(amount) > float(values)
+    )

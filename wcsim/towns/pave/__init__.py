@@ -1,1 +1,1 @@
-"""Pavements and crossings for a scenario that has none, with its own stops, detectors and signal programs kept."""
+"""Pavements for a scenario that has none; its stops, detectors and signal programs stay."""

@@ -60,7 +60,7 @@ from wcsim.log.writer import JOURNAL
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.server.host.opening import EPOCH_OVER
 from wcsim.server.specs import town_name_for_epoch
-from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.making.asked_town import requested_town
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import find_scene
 from wcsim.types import Command, Joystick, Outline
@@ -86,7 +86,7 @@ def _replay_about(header: Header, ticks: int, *, epoch: int | None = None, live:
     else:
         town = header.town
         if header.more_towns:
-            town = asked_town(town_name_for_epoch(town, header.more_towns, epoch or 0)).address
+            town = requested_town(town_name_for_epoch(town, header.more_towns, epoch or 0)).address
             maps = [f"Maps of other towns than {Path(town).name}: the run's worlds change towns."]
         title = f"{header.name or 'journal'}, {Path(town).name}"
     return FilmAbout(
