@@ -102,7 +102,7 @@ OPTIONS = {
     "train-clients fig6,patch --select-by dev --set learn.phase1_steps=0": (
         "less than 1 steps: set learn.phase1_steps",
     ),
-    "train-clients fig6,patch --steps 9 --select-by validation": ("validation: profile ataxic is held out",),
+    "train-clients fig6,patch --steps 9 --select-by v1": ("v1: profile ataxic is held out",),
     "train-clients fig6,patch --select-by kpi1 --set learn.phase1_steps=99": ("less than 100 steps",),
     "train-clients fig6,patch --select-by kpi1 --worlds 2": ("tests nothing; leave --worlds out",),
     "train-clients fig6,patch --select-by fig6 --worlds 2": ("tests nothing; leave --worlds out",),

@@ -233,7 +233,7 @@ def test_a_stick_out_of_its_gate_is_in_it(session: DriveSession) -> None:
     [
         ({"town": "atlantis"}, TownError, "atlantis"),
         ({"profile": "nobody"}, ConfigError, "unknown user profile"),
-        ({"suite": "dev", "block": 70}, ConfigError, "expected 0 to 69"),
+        ({"suite": "dev", "block": 71}, ConfigError, "expected 0 to 70"),
         ({"suite": "dev", "seat": 6}, ConfigError, "expected 0 to 5"),
         ({"suite": "nope"}, ConfigError, "there is no such list"),
     ],

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from wcsim.bridge.ego import ego
-from wcsim.bridge.replay import replayed
 from wcsim.bridge.replay.replayed import _made_scene, verify
 from wcsim.bridge.user_drives import seen_drive, with_shadow
 from wcsim.core.files import iter_unused_paths
@@ -25,6 +24,7 @@ from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
 from wcsim.users.profiles import find_builtin_profile
 from wcsim.users.recordings.recorded_user import find_user
+from wcsim.users.user import User
 
 TIGHT_BLOCK = 25  # of dev: a generated scene
 WEAVES = [Wish(stick=Joystick(0.4 * math.sin(0.3 * number), 0.9)) for number in range(40)]
@@ -161,7 +161,7 @@ def test_a_change_that_is_left_out_is_noticed(kept: Kept) -> None:
 
 def test_ways_end_as_they_did(keep: Keep, monkeypatch: pytest.MonkeyPatch) -> None:
     """The next way begins where the user beside says that this one is over."""
-    monkeypatch.setattr(ego, "GOAL_RANGE_M", (2.0, 5.0))
+    monkeypatch.setattr(ego, "_GOAL_RANGE_M", (2.0, 5.0))
     drive = keep(policy="follow")
     session = drive.session
     for _ in range(150):
@@ -185,7 +185,7 @@ def test_a_person_is_patient_and_a_user_is_not(keep: Keep, tmp_path: Path, monke
     made = drive.again()
     gave_up = [number for number, tick in enumerate(made.ticks) if tick.gave_up]
     assert gave_up and gave_up[0] >= 90, "who stood for 9 s was a person"
-    monkeypatch.setattr(replayed, "_let_wait", lambda *_: None)
+    monkeypatch.setattr(User, "patient", property(lambda _: False, lambda *_: None), raising=False)
     assert verify(made).mismatches > 10
 
 
@@ -274,10 +274,10 @@ def test_of_a_person_the_simulated_stretches_are_left_out_of_what_was_wanted(kep
 
 @pytest.mark.proof
 def test_an_episode_of_a_suite_with_a_handover_is_made_again(tmp_path: Path) -> None:
-    drive = Kept(DriveStart(suite="dev", block=16, profile=""), tmp_path / "a.drive")
-    drive.drive(60)
+    drive = Kept(DriveStart(suite="dev", block=17, profile=""), tmp_path / "a.drive")
+    drive.drive(200)
     made = drive.again()
     (sat,) = (record for record in made.records if isinstance(record, Admitted))
-    assert made.about.episode == "dev 16.0" and sat.spec.start is not None
+    assert made.about.episode == "dev 17.0" and sat.spec.start is not None
     drivers = [tick.intent is not None for tick in made.ticks]
-    assert drivers == [number < 25 for number in range(60)], "the user drives until the handover"
+    assert drivers == [number < 188 for number in range(200)], "the user drives until the handover"
