@@ -286,8 +286,7 @@ class World(ClosingContextBase):
     def _sense(self, out: ImageSink | None) -> Snapshot:
         """Measure tick n + 1, have users look and move their hands, and start new episodes."""
         # 1. The bodies have to be where the actors are.
-        with self.stopwatch.measure("mirror"):
-            self._open.check.check(self._bodied)
+        self._check_mirror()
         self._tick += 1
         for seat in self.seats:
             seat.end_tick(self._tick)
@@ -396,6 +395,11 @@ class World(ClosingContextBase):
     def _look_around(self, seat: Ego) -> None:
         """The seat's user sees what is around now."""
         seat.look(self.sumo.time_s(), self._others(seat), self._open.traffic.signals)
+
+    def _check_mirror(self) -> None:
+        """Raises PhysicsError when the bodies are not where the actors are."""
+        with self.stopwatch.measure("mirror"):
+            self._open.check.check(self._bodied)
 
     def _load_tiles(self, places_W_m: F64) -> None:
         self._loader.load(places_W_m, self._open.street, self.stopwatch)

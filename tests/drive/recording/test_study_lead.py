@@ -233,7 +233,7 @@ def test_a_street_that_cannot_be_opened_may_be_tried_again(
         (('title = "A tiny study"', 'title = "A"\npolicy = "nobody-there"'), PolicyError, "nobody-there"),
         (("seed = 4", "seed = 4\nblock = 1"), ConfigError, "block does not belong to this kind of place"),
         (("seed = 4", 'suite = "dev"'), ConfigError, "either a town"),
-        (('town = "{town}"\nseed = 4', 'suite = "dev"\nblock = 700'), ConfigError, "expected 0 to 69"),
+        (('town = "{town}"\nseed = 4', 'suite = "dev"\nblock = 700'), ConfigError, "expected 0 to 70"),
         (('town = "{town}"', 'town = "atlantis"'), TownError, "atlantis"),
         (('title = "A tiny study"', 'title = "A"\nprofile = "nobody"'), ConfigError, "unknown user profile"),
         (('title = "A tiny study"', 'title = "A"\nprofile = "recorded:a.csv"'), ConfigError, "cannot be kept|a.csv"),

@@ -93,8 +93,7 @@ def crowd_of(
         return crowd
     # SUMO does not know who is aside, so those beside them have to be looked at too.
     for actor, chair_m in others:
-        x, y, _ = actor.p_W_m.tolist()
-        if any(abs(x - px) + abs(y - py) < 2.0 * PEOPLE_AHEAD_M for px, py in far):
+        if _is_beside(actor, far):
             crowd.append(_walker(actor, (0.0, 0.0), False, chair_m))
     # By id again: commands to SUMO must have one order.
     return sorted(crowd, key=lambda walker: walker.id)
@@ -118,6 +117,12 @@ def _walker(
         oy=oy,
         chair_m=chair_m,
     )
+
+
+def _is_beside(actor: ActorState, places: Sequence[tuple[float, float]]) -> bool:
+    """Whether this person is near to one of these places."""
+    x, y, _ = actor.p_W_m.tolist()
+    return any(abs(x - px) + abs(y - py) < 2.0 * PEOPLE_AHEAD_M for px, py in places)
 
 
 def vehicles_near(actors: Sequence[ActorState], crowd: Sequence[Walker]) -> list[Vehicle]:

@@ -288,13 +288,7 @@ class PedestrianAvoidance:
         waited = self._standing_s.get(walker.id, 0.0) > _PATIENCE_S
 
         # 1. Who has nothing in its way stays on its line.
-        side_m = walker.radius_m + (_TIGHT_GAP_M if waited else CHAIR_GAP_M)
-        place = walker.x, walker.y, walker.cos, walker.sin
-        seen = [
-            _block_around(*place, box, side_m, walker.radius_m + _BEHIND_M)
-            for box in _boxes_in_sight(others.chairs, walker)
-        ]
-        chairs = [each for each in seen if each.far_m > 0.0 and each.near_m < _LOOK_AHEAD_M]
+        chairs = _chairs_in_way(walker, others.chairs, _TIGHT_GAP_M if waited else CHAIR_GAP_M)
         gap_m = _TIGHT_PERSON_GAP_M if waited else PERSON_GAP_M
         people = self._people_in_way(walker, others.crowd, gap_m)
         if not walker.aside and not any([block.blocks(0.0) for block in (*chairs, *people)]):
@@ -375,20 +369,8 @@ class PedestrianAvoidance:
         nx, ny = x + share * wx, y + share * wy
 
         # 1. No step leads too near to a body, and nearer than before.
-        for other in others.crowd:
-            if other.id == walker.id:
-                continue
-            ax, ay = other.at
-            near_m = math.hypot(nx - ax, ny - ay)
-            apart_m = walker.radius_m + other.radius_m + _BRUSH_M
-            if near_m < apart_m and near_m < math.hypot(x - ax, y - ay):
-                return
-        bodies = [(chair.box, _LEAST_CHAIR_GAP_M) for chair in others.chairs]
-        bodies += [(vehicle.box, _BRUSH_M) for vehicle in near(others.vehicles, x, y)]
-        for box, gap_m in bodies:
-            near_m = gap_to_box(nx, ny, *box)
-            if near_m < walker.radius_m + gap_m and near_m < gap_to_box(x, y, *box):
-                return
+        if _comes_too_near(walker, (nx, ny), others):
+            return
 
         # 2. None leads off the walkable ground. SUMO itself may have it walk where one does not:
         #    from there it may.
@@ -426,6 +408,16 @@ def _boxes_in_sight(chairs: Sequence[_Chair], walker: Walker) -> list[Box]:
     return [chair.box for chair in chairs if chair.people.looks(walker.id)]
 
 
+def _chairs_in_way(walker: Walker, chairs: Sequence[_Chair], gap_m: float) -> list[_Block]:
+    """The chairs ahead that this person notices, with such a gap at their sides."""
+    place = walker.x, walker.y, walker.cos, walker.sin
+    seen = [
+        _block_around(*place, box, walker.radius_m + gap_m, walker.radius_m + _BEHIND_M)
+        for box in _boxes_in_sight(chairs, walker)
+    ]
+    return [block for block in seen if block.far_m > 0.0 and block.near_m < _LOOK_AHEAD_M]
+
+
 def _vehicles_beside(
     walker: Walker, vehicles: Sequence[Vehicle]
 ) -> tuple[list[_Block], list[_Block]]:
@@ -443,6 +435,26 @@ def _vehicles_beside(
         elif not (block.beside and block.blocks(walker.left_m)):
             standing.append(block)
     return standing, driving
+
+
+def _comes_too_near(walker: Walker, there: tuple[float, float], others: _Others) -> bool:
+    """Whether a step there leads too near to a person, chair or vehicle, and nearer than now."""
+    (x, y), (nx, ny) = walker.at, there
+    for other in others.crowd:
+        if other.id == walker.id:
+            continue
+        ax, ay = other.at
+        near_m = math.hypot(nx - ax, ny - ay)
+        apart_m = walker.radius_m + other.radius_m + _BRUSH_M
+        if near_m < apart_m and near_m < math.hypot(x - ax, y - ay):
+            return True
+    bodies = [(chair.box, _LEAST_CHAIR_GAP_M) for chair in others.chairs]
+    bodies += [(vehicle.box, _BRUSH_M) for vehicle in near(others.vehicles, x, y)]
+    for box, gap_m in bodies:
+        near_m = gap_to_box(nx, ny, *box)
+        if near_m < walker.radius_m + gap_m and near_m < gap_to_box(x, y, *box):
+            return True
+    return False
 
 
 def _block_around(

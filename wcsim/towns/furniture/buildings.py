@@ -51,18 +51,8 @@ def make_buildings(
 
     What stands on the street (arcades, passages) or outside the town is cut off.
     """
-    # 1. Cut courtyards out of the buildings around them.
-    bodies, courtyards = _outlines(items, hull)
-    tree = shapely.STRtree(courtyards)
-    hollowed: list[_Body] = []
-    for body in bodies:
-        inside = [courtyards[i] for i in sorted(tree.query(body.area).tolist())]
-        inside = [yard for yard in inside if yard.area < 0.98 * body.area.area]
-        yards = [y for y in inside if y.intersection(body.area).area > 0.9 * y.area]
-        if yards:
-            body = replace(body, area=_areas(body.area.difference(shapely.union_all(yards))))
-        hollowed.append(body)
-    solid, raised = _composed(hollowed)
+    # 1. Tell what stands from what starts on an upper floor.
+    solid, raised = _composed(_hollowed(*_outlines(items, hull)))
 
     # 2. Clear what stands of the street. No ground is taken twice: what comes first has it.
     patches = Patches(street)
@@ -133,6 +123,20 @@ def _hidden(item: Item) -> bool:
         or number(item.tags, "layer") < 0.0
         or number(item.tags, "building:levels") < 0.0
     )
+
+
+def _hollowed(bodies: list[_Body], courtyards: list[BaseGeometry]) -> list[_Body]:
+    """The same bodies, with courtyards cut out of the buildings around them."""
+    tree = shapely.STRtree(courtyards)
+    hollowed: list[_Body] = []
+    for body in bodies:
+        inside = [courtyards[i] for i in sorted(tree.query(body.area).tolist())]
+        inside = [yard for yard in inside if yard.area < 0.98 * body.area.area]
+        yards = [y for y in inside if y.intersection(body.area).area > 0.9 * y.area]
+        if yards:
+            body = replace(body, area=_areas(body.area.difference(shapely.union_all(yards))))
+        hollowed.append(body)
+    return hollowed
 
 
 def _composed(bodies: list[_Body]) -> tuple[list[_Body], list[_Body]]:

@@ -119,17 +119,19 @@ def _things(item: Item) -> list[StandingObject]:
         yaw_rad = yaw_from_sumo(_number(item, "angle") or 0.0)
         own_size_m = size_m if size_m != usual else None
         return [standing_object(item.kind, points_m[0], yaw_rad, own_size_m)]
-    # Several points mark what they enclose, or a band along them.
     is_fenced = item.kind == "roadworks"
-    closed = len(points_m) > 3 and bool((points_m[0] == points_m[-1]).all())
-    if (item.filled or (closed and is_fenced)) and len(points_m) > 2:
-        ground = shapely.make_valid(Polygon(points_m))
-    else:
-        half_m = (width_m or usual[1]) / 2
-        line = shapely.LineString(points_m)
-        ground = line.buffer(half_m, cap_style="flat", join_style="mitre")
+    ground = _outline(item, points_m, width_m or usual[1], is_fenced)
     make = _fenced if is_fenced else _filled
     return [make(item.kind, area, height_m or usual[2]) for area in polygons_of(ground, 1e-4)]
+
+
+def _outline(item: Item, points_m: F64, width_m: float, is_fenced: bool) -> BaseGeometry:
+    """The ground that several points mark: what they enclose, or a band along them."""
+    closed = len(points_m) > 3 and bool((points_m[0] == points_m[-1]).all())
+    if (item.filled or (closed and is_fenced)) and len(points_m) > 2:
+        return shapely.make_valid(Polygon(points_m))
+    line = shapely.LineString(points_m)
+    return line.buffer(width_m / 2, cap_style="flat", join_style="mitre")
 
 
 def _filled(kind: str, area: Polygon, height_m: float) -> StandingObject:

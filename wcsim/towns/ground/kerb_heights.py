@@ -108,12 +108,19 @@ def make_kerbing(
             near = shapely.shortest_line(kerb, mark.line).interpolate(0.0).buffer(HALF_WIDTH_M)
         elsewhere += [(line, mark.height_m) for line in _lines(kerb.intersection(near))]
 
-    # 4. Gather what is lowered by its height.
+    kerbs = [*zip(mouths, lips_m, strict=True), *elsewhere]
+    return Kerbing(top_m=top_m, lowered=_lowered_by_height(kerbs, top_m))
+
+
+def _lowered_by_height(
+    kerbs: Iterable[tuple[BaseGeometry, float]], top_m: float
+) -> tuple[_Lowered, ...]:
+    """Lines of kerbs, each with its height, gathered where that is less than the full one."""
     groups: dict[float, list[BaseGeometry]] = {}
-    for line, lip_m in [*zip(mouths, lips_m, strict=True), *elsewhere]:
+    for line, lip_m in kerbs:
         if lip_m < top_m:
             groups.setdefault(lip_m, []).append(line)
-    lowered = tuple(
+    return tuple(
         _Lowered(
             drop_m=lip_m,
             ramp_m=_RAMP_RUN * (top_m - lip_m),
@@ -122,7 +129,6 @@ def make_kerbing(
         )
         for lip_m in sorted(groups)
     )
-    return Kerbing(top_m=top_m, lowered=lowered)
 
 
 def _along(mark: KerbMark, kerb: BaseGeometry) -> BaseGeometry:
@@ -160,19 +166,11 @@ def _lips_m(
         for number in tree.query(lines, predicate="dwithin", distance=NEAR_M).tolist():
             lips_m[number] = lip_m
 
-    # 2. So is what the crossing itself says: of the nearest mouth, and of that as far away on the
-    # other side.
+    # 2. So is what the crossing itself says.
     for mark in marks:
-        if not mark.crossing:
-            continue
-        nearest = tree.query_nearest(mark.line, max_distance=_NODE_M, all_matches=False)
-        for number in nearest[:1].tolist():
-            end = shapely.shortest_line(mouths[number], mark.line)
-            other = shapely.affinity.rotate(end, 180.0, origin=mark.line.centroid).interpolate(0.0)
-            reach_m = max(_AT_CROSSING_M, end.length)
-            across = tree.query_nearest(other, max_distance=reach_m, all_matches=False)
-            for lowered in (number, *across.tolist()):
-                lips_m[lowered] = mark.height_m
+        if mark.crossing:
+            for number in _both_ends(mark, mouths, tree):
+                lips_m[number] = mark.height_m
 
     # 3. A kerb beside it is nearest. A raised one farther away to the side is that of the street.
     near = [mark for mark in marks if not mark.side and not mark.crossing]
@@ -188,6 +186,19 @@ def _lips_m(
         if gap_m <= NEAR_M or ahead or mark.height_m < top_m:
             lips_m[i] = mark.height_m
     return lips_m
+
+
+def _both_ends(mark: KerbMark, mouths: list[BaseGeometry], tree: shapely.STRtree) -> list[int]:
+    """The nearest mouth of a mapped crossing, and that as far away on the other side."""
+    nearest = tree.query_nearest(mark.line, max_distance=_NODE_M, all_matches=False)
+    if not len(nearest):
+        return []
+    number = int(nearest[0])
+    end = shapely.shortest_line(mouths[number], mark.line)
+    other = shapely.affinity.rotate(end, 180.0, origin=mark.line.centroid).interpolate(0.0)
+    reach_m = max(_AT_CROSSING_M, end.length)
+    across = tree.query_nearest(other, max_distance=reach_m, all_matches=False)
+    return [number, *across.tolist()]
 
 
 def _lines(geometry: BaseGeometry) -> list[BaseGeometry]:

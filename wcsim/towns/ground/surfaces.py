@@ -108,17 +108,9 @@ def make_surfaces(
     shapely.prepare(motor)
     parts = shapely.get_parts(low)
     driven = [part for part in parts if part.area > _POCKET_M2 or shapely.intersects(motor, part)]
-    low = _cleaned(MultiPolygon(driven))
+    low = _without_small_holes(_cleaned(MultiPolygon(driven)), walk)
 
-    # 5. Fill small islands of grass, such as one inside a lane that turns round at a dead end.
-    shapely.prepare(walk)
-    holes = [Polygon(ring) for part in shapely.get_parts(low) for ring in part.interiors]
-    holes = [hole for hole in holes if hole.area < _HOLE_M2]
-    small = [hole for hole in holes if walk.intersection(hole).area < _CRUMB_M2]
-    if small:
-        low = _areas(shapely.set_precision(shapely.union_all([low, *small]), GRID_M))
-
-    # 6. The rest of what is walked on is pavement. Crossings are drawn out to meet it.
+    # 5. The rest of what is walked on is pavement. Crossings are drawn out to meet it.
     pavement = shapely.set_precision(_opened(both.difference(low), 0.05), GRID_M)
     painted = [lane for lane in net.lanes(LaneKind.CROSSING) if lane.edge_id not in unmarked]
     plain = [lane for lane in net.lanes(LaneKind.CROSSING) if lane.edge_id in unmarked]
@@ -151,21 +143,9 @@ def covered(surfaces: Surfaces, items: Iterable[Item], net: Net) -> Surfaces:
     )
     greens = [item for item in items if item.kind in _GREEN.get(item.group, "").split()]
     green = _area(greens)
-    lawns = [_area([item]) for item in greens]
-    tree = shapely.STRtree(lawns)
 
-    # 2. Find the bare ground of squares. A lawn or a car park lies on a square that is larger, and
-    # a park around one that is smaller.
-    bare: list[BaseGeometry] = []
-    for item in items:
-        closed = bool((item.points_W_m[0] == item.points_W_m[-1]).all())
-        if not closed or (item.group, item.kind) not in _SQUARES:
-            continue
-        area = _area([item])
-        smaller = [lawns[k] for k in tree.query(area) if lawns[k].area < area.area]
-        bare.append(area.difference(shapely.union_all([parking, *smaller])))
-
-    # 3. Make it pavement, but for the streets over it.
+    # 2. Make the bare ground of squares pavement, but for the streets over it.
+    bare = _bare_squares(items, [_area([item]) for item in greens], parking)
     if bare:
         square = shapely.union_all(bare)
         street = _driven_on(ground_of(net.lanes(LaneKind.MOTOR, LaneKind.RAIL)))
@@ -180,7 +160,7 @@ def covered(surfaces: Surfaces, items: Iterable[Item], net: Net) -> Surfaces:
             pavement=_areas(shapely.set_precision(walked.difference(low), GRID_M)),
         )
 
-    # 4. Pave the ground between the houses of a town.
+    # 3. Pave the ground between the houses of a town.
     houses = _area(item for item in items if item.group == "building")
     quarters = _area(item for item in items if item.group == "landuse" and item.kind in _BUILT_UP)
     yards = buffered(buffered(houses, BESIDE_M + GAP_M, quad_segs=2), -GAP_M, quad_segs=2)
@@ -226,6 +206,36 @@ def _split(net: Net, chair_ways: tuple[str, ...]) -> tuple[list[Lane], list[Lane
             elif lane.kind in (LaneKind.MOTOR, LaneKind.RAIL, LaneKind.BIKE):
                 low.append(lane)
     return low, walk
+
+
+def _without_small_holes(low: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
+    """Road without small islands of grass, as inside a lane that turns round at a dead end."""
+    shapely.prepare(walk)
+    holes = [Polygon(ring) for part in shapely.get_parts(low) for ring in part.interiors]
+    holes = [hole for hole in holes if hole.area < _HOLE_M2]
+    small = [hole for hole in holes if walk.intersection(hole).area < _CRUMB_M2]
+    if not small:
+        return low
+    return _areas(shapely.set_precision(shapely.union_all([low, *small]), GRID_M))
+
+
+def _bare_squares(
+    items: Iterable[Item], lawns: list[BaseGeometry], parking: BaseGeometry
+) -> list[BaseGeometry]:
+    """The bare ground of each square.
+
+    A lawn or a car park lies on a square that is larger, and a park around one that is smaller.
+    """
+    tree = shapely.STRtree(lawns)
+    bare: list[BaseGeometry] = []
+    for item in items:
+        closed = bool((item.points_W_m[0] == item.points_W_m[-1]).all())
+        if not closed or (item.group, item.kind) not in _SQUARES:
+            continue
+        area = _area([item])
+        smaller = [lawns[k] for k in tree.query(area) if lawns[k].area < area.area]
+        bare.append(area.difference(shapely.union_all([parking, *smaller])))
+    return bare
 
 
 def _polygon(points_m: np.ndarray) -> BaseGeometry:

@@ -99,18 +99,9 @@ def stage_scenario(
     ]
     options += _more_outputs(outputs, config, names)
     options += [(sumo_options()[name], value) for name, value in set_here.items()]
+    _refuse_uneven_parquet(options, config)
 
-    # 3. Refuse what SUMO dies of.
-    fcd = [config.value(f"fcd-output.{key}") for key in ("attributes", "max-leader-distance")]
-    for option, value in options:
-        is_parquet = value.endswith(".parquet") or config.value("output.format") == "parquet"
-        if is_parquet and re.match(_UNEVEN, f"{option.name} {fcd[0]} {fcd[1]}"):
-            raise TownError(
-                f"{config.path}: SUMO dies when it writes <{option.name}> as parquet; expected XML "
-                "or CSV: end its file's name in .xml, without <output.format>"
-            )
-
-    # 4. Write the configuration.
+    # 3. Write the configuration.
     root = ElementTree.Element("sumoConfiguration")
     for option, value in options:
         topic = root.find(option.topic)
@@ -121,7 +112,7 @@ def stage_scenario(
     sumocfg = names.folder / town.sumocfg.name
     sumocfg.write_text(text, encoding="utf-8")
 
-    # 5. Report what was changed.
+    # 4. Report what was changed.
     moved = [
         (option.name, value.replace(f"{names.folder}/", "sumo/"))
         for option, value in options
@@ -226,6 +217,20 @@ def _more_outputs(
         if not config.value(option.name):
             more.append((option, str(names.place(f"{word}.xml", names.folder, f"{word}.xml"))))
     return more
+
+
+def _refuse_uneven_parquet(
+    options: Sequence[tuple[SumoOption, str]], config: Configuration
+) -> None:
+    """Raise TownError where SUMO would die of an output that it writes as parquet."""
+    fcd = [config.value(f"fcd-output.{key}") for key in ("attributes", "max-leader-distance")]
+    for option, value in options:
+        is_parquet = value.endswith(".parquet") or config.value("output.format") == "parquet"
+        if is_parquet and re.match(_UNEVEN, f"{option.name} {fcd[0]} {fcd[1]}"):
+            raise TownError(
+                f"{config.path}: SUMO dies when it writes <{option.name}> as parquet; expected XML "
+                "or CSV: end its file's name in .xml, without <output.format>"
+            )
 
 
 def _quoted(path: Path) -> str:

@@ -93,16 +93,7 @@ def build_walk_graph(
     for area in net.lanes(LaneKind.WALKINGAREA):
         builder.link(area, ends[area.edge_id])
 
-    # 4. Mark crossings that no known phase frees.
-    programs: dict[str, list[SignalState]] = defaultdict(list)
-    for phase in phases:
-        programs[phase.tls_id].append(phase)
-    edges = []
-    for edge in builder.edges:
-        states = programs.get(edge.tls_id, []) if edge.tls_id else []
-        dead = states and not any(state.frees(edge.tls_links) for state in states)
-        edges.append(replace(edge, never_green=True) if dead else edge)
-    return _largest_part(builder.nodes, edges)
+    return _largest_part(builder.nodes, _with_dead_lights(builder.edges, phases))
 
 
 def shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None:
@@ -251,6 +242,19 @@ def _ends_at_areas(net: Net) -> dict[str, list[str]]:
         if link.end in areas:
             found[link.end][f"{link.start}_{link.start_lane}"] = None
     return defaultdict(list, {area: list(lanes) for area, lanes in found.items()})
+
+
+def _with_dead_lights(edges: list[WalkEdge], phases: Iterable[SignalState]) -> list[WalkEdge]:
+    """The same edges, with crossings marked that no known phase frees."""
+    programs: dict[str, list[SignalState]] = defaultdict(list)
+    for phase in phases:
+        programs[phase.tls_id].append(phase)
+    marked: list[WalkEdge] = []
+    for edge in edges:
+        states = programs.get(edge.tls_id, []) if edge.tls_id else []
+        dead = states and not any(state.frees(edge.tls_links) for state in states)
+        marked.append(replace(edge, never_green=True) if dead else edge)
+    return marked
 
 
 def _largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:
