@@ -369,7 +369,7 @@ class PedestrianAvoidance:
         nx, ny = x + share * wx, y + share * wy
 
         # 1. No step leads too near to a body, and nearer than before.
-        if _comes_too_near(walker, (nx, ny), others):
+        if _is_too_near(walker, (nx, ny), others):
             return
 
         # 2. None leads off the walkable ground. SUMO itself may have it walk where one does not:
@@ -437,7 +437,7 @@ def _vehicles_beside(
     return standing, driving
 
 
-def _comes_too_near(walker: Walker, there: tuple[float, float], others: _Others) -> bool:
+def _is_too_near(walker: Walker, there: tuple[float, float], others: _Others) -> bool:
     """Whether a step there leads too near to a person, chair or vehicle, and nearer than now."""
     (x, y), (nx, ny) = walker.at, there
     for other in others.crowd:
