@@ -56,6 +56,13 @@ often also brake for a wheelchair later. The setting is off by default.
 `wcsim town run TOWN --chairs 0` builds no street. Its traffic is that of plain sumo with the same step length and
 seed (`sumo_seed` in the manifest). `--outputs fcd,tripinfo` writes the same bytes, except for the comment at the top.
 
+## The warm-up
+
+A warm-up of a minute or more (`world.warmup_s`) is done once: by steps of 1 s, after which SUMO saves its state into
+the cache. Every world of this scenario and seed loads that state, the first one too, so all of them are equal to the
+bit. Their outputs, teleports and collisions begin there. Where SUMO dies of the state (a child tries it once), with
+JuPedSim, and with a step hook, each world warms up by ticks.
+
 ## Step hooks
 
 `--hook module:Class` (`town run`, `train`, `test`) loads your class from the current folder or the Python path. Each

@@ -14,7 +14,7 @@ import numpy as np
 from wcsim.bridge.epoch import ReactingTraffic
 from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.bridge.reaction.commands import CHAIR, ROADWAY, VEHICLE, ActorCommand, Blocked, ChairInStreet
-from wcsim.bridge.sumo.session import SumoOptions, SumoSession, warm_up
+from wcsim.bridge.sumo.session import SumoOptions, SumoSession
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.core.boxes import box_from_actor, boxes_touch, gap_to_box
 from wcsim.core.closing import ClosingContextBase
@@ -38,9 +38,8 @@ class ReactionStage(ClosingContextBase):
         self.deflected_into: set[str] = set()
         self._still: set[str] = set()  # of the people whom SUMO itself does not move
         self._places: dict[str, tuple[float, ...]] = {}  # where it had them a tick ago
-        self._sumo = SumoSession(_options(town, street, config, seed))
+        self._sumo = SumoSession(replace(_options(town, street, config, seed), warmup_s=warmup_s))
         self._traffic = ReactingTraffic(config, street.grid, self._sumo, AttentionModel(config, seed))
-        warm_up(self._sumo, warmup_s, config.tick_s)
 
     def tick(self, chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
         """One tick with the chairs where they are; the actors near them afterwards."""

@@ -52,6 +52,14 @@ PINS = (
         pictures="2ef4e33606285003f07675a8e461f6f4",
         override="cameras.0.noise.objects=usual",
     ),
+    Pin(
+        town="karhula",
+        seed=5,
+        seats=1,
+        states="116eafc197cec7b72f336aec2bcc6c32",
+        pictures="28f9e98394feff94ff68c60b6944225e",
+        override="world.warmup_s=60",  # from a saved state
+    ),
 )
 
 

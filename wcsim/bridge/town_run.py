@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.bridge.sumo.run_place import RunPlace
-from wcsim.bridge.sumo.session import open_session, refuse_second_world, warm_up, warmup_s
+from wcsim.bridge.sumo.session import open_session, refuse_second_world, warmup_s
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import RolloutStep, rollout
 from wcsim.config import ChairConfig, RunConfig
@@ -195,7 +195,6 @@ class _TownTraffic(ClosingContextBase):
         try:
             where = place, self.net_z_m, self._held
             self.scenario, self.sumo = open_session(town, config, seed, *where)
-            warm_up(self.sumo, warmup_s(town, config), config.world.tick_s)
         except BaseException:
             self.close()
             raise

@@ -24,8 +24,6 @@ from wcsim.bridge.sumo.session import (
     open_session,
     refuse_second_world,
     sumo_seed,
-    warm_up,
-    warmup_s,
 )
 from wcsim.config import RunConfig
 from wcsim.core.closing import ClosingContextBase
@@ -321,7 +319,6 @@ class World(ClosingContextBase):
         """Warm the traffic up, build an engine for this epoch, and put every chair at a start."""
         self.epoch += 1
         self._tick = 0
-        warm_up(self.sumo, warmup_s(self.town, self.config), self.config.world.tick_s)
         if self._epoch is not None:
             self._epoch.engine.close()
         self._epoch = Epoch(self.config, self.street.grid, self.sumo, seed)

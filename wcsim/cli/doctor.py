@@ -176,7 +176,8 @@ def run_cache(words: list[str]) -> int:
     left = clear_cache() if options.clear else before
     checked = pluralize(before.verdicts, "checked net or scenario", "checked nets and scenarios")
     content = (
-        f"{pluralize(before.streets, 'street')}, {checked}, {pluralize(before.kernels, 'kernel')}, "
+        f"{pluralize(before.streets, 'street')}, {checked}, {pluralize(before.states, 'state')} of "
+        f"warmed traffic, {pluralize(before.kernels, 'kernel')}, "
         f"{pluralize(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
     )
     print(f"{escape(before.folder)}: {content}, {before.size_bytes / 1e6:.1f} MB")

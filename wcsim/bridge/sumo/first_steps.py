@@ -1,6 +1,9 @@
-"""`python -m wcsim.bridge.sumo.first_steps SUMOCFG STEP_S STEPS WORD`: a scenario's first steps.
+"""A scenario's first steps, in a process that may die.
 
-It runs in a process that may die. It prints WORD when it has run them once; then it starts anew.
+`python -m wcsim.bridge.sumo.first_steps SUMOCFG STEP_S STEPS WORD [WARMUP_S DIGEST SCALE]`
+
+It prints WORD when it has run them once; then it starts anew. With a warm-up, they are the first
+after it, and the traffic begins from a saved state.
 """
 
 import sys
@@ -15,7 +18,15 @@ from wcsim.towns.scenario.overrides import Settings
 def main() -> int:
     """Run the scenario that the command line names."""
     settings = Settings(world=WorldConfig(tick_s=float(sys.argv[2])), seed=1)
-    options = SumoOptions(sumocfg=Path(sys.argv[1]), origin_m=(0.0, 0.0), settings=settings)
+    warmup_s, digest, scale = sys.argv[5:] or ("0", "", "1")
+    options = SumoOptions(
+        sumocfg=Path(sys.argv[1]),
+        origin_m=(0.0, 0.0),
+        settings=settings,
+        author_scale=float(scale),
+        warmup_s=float(warmup_s),
+        digest=digest,
+    )
     try:
         with SumoSession(options) as session:
             _steps(session, int(sys.argv[3]))

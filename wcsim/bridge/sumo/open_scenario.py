@@ -7,7 +7,7 @@ import hashlib
 import logging
 import os
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -22,7 +22,7 @@ from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.overrides import PEOPLE, Settings
 from wcsim.towns.scenario.stage import Scenario, stage_scenario
 from wcsim.towns.scenario.town import Town
-from wcsim.towns.sumo.tools import Limits, run_child, run_tool
+from wcsim.towns.sumo.tools import Limits, ToolRun, run_child, run_tool
 
 log = logging.getLogger("wcsim.bridge.sumo.open_scenario")
 
@@ -32,9 +32,10 @@ _TRIAL_STEPS = 50
 _JUPEDSIM_TRIAL_S = 300.0
 _STARTED_ANEW = "begun anew"  # the child's message when its first run is over
 _LIMITS = Limits(wall_s=50.0, cpu_s=50, memory_bytes=16 << 30, file_bytes=1 << 30)
-# Half a minute goes into the area of a whole town.
-_JUPEDSIM_LIMITS = replace(_LIMITS, wall_s=600.0, cpu_s=300)
+# Of people by JuPedSim, half a minute goes into the area of a whole town; of a warm-up, all of it.
+_LONG_LIMITS = replace(_LIMITS, wall_s=600.0, cpu_s=300)
 _SEARCH_LIMITS = Limits(wall_s=10.0, cpu_s=10, memory_bytes=16 << 30, file_bytes=1 << 30)
+_LOADS, _FAILS = b"loads\n", b"fails\n"  # verdicts on states
 _LISTS = ("additional-files", "route-files")  # in the order in which SUMO reads them
 
 
@@ -77,18 +78,13 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
     with create_temporary_folder() as work:
         # One seed for all, as the verdict is on the files and holds for every seed.
         staged = stage_scenario(town, replace(settings, seed=1), work)
-        tick_s = settings.world.tick_s
         by_jupedsim = read_configuration(staged.sumocfg).value(PEOPLE) == JUPEDSIM
         steps = _TRIAL_STEPS
         if by_jupedsim:
-            steps = max(steps, round(_JUPEDSIM_TRIAL_S / tick_s))
-        command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(staged.sumocfg)]
-        command += [repr(tick_s), str(steps), _STARTED_ANEW]
-        # The child has to find the packages that this process found, however it was started.
-        env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
-        limits = _JUPEDSIM_LIMITS if by_jupedsim else _LIMITS
+            steps = max(steps, round(_JUPEDSIM_TRIAL_S / settings.world.tick_s))
+        limits = _LONG_LIMITS if by_jupedsim else _LIMITS
         try:
-            run = run_child("sumo", command, staged.sumocfg.parent, env, limits)
+            run = _run_steps(staged, settings, steps, limits)
         except SumoError as error:
             raise TownError(
                 f"{town.sumocfg}: SUMO could not run its first {steps} steps ({error}); "
@@ -115,6 +111,49 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
             f"SUMO alone: sumo -c {town.sumocfg}"
         )
     write_verdict(verdict)
+
+
+def try_state(town: Town, settings: Settings, scenario: Scenario, warmup_s: float) -> bool:
+    """Whether a world can load this scenario's warmed traffic from a state; tried in a child.
+
+    JuPedSim's people are in no state, and SUMO may die of a device that it cannot save.
+
+    Raises:
+        TownError: the warm-up takes too long.
+    """
+    if read_configuration(scenario.sumocfg).value(PEOPLE) == JUPEDSIM:
+        return False
+    state = f"{scenario.digest} {version('libsumo')} {_TRIAL_STEPS} {warmup_s!r}"
+    verdict = cache_folder() / f"state-{hashlib.sha256(state.encode()).hexdigest()[:32]}.ok"
+    with suppress(OSError):
+        return verdict.read_bytes() == _LOADS
+    with create_temporary_folder() as work:
+        staged = stage_scenario(town, replace(settings, seed=1), work)
+        scale = staged.author_scale * settings.world.demand_scale
+        more = repr(warmup_s), staged.digest, repr(scale)
+        try:
+            run = _run_steps(staged, settings, _TRIAL_STEPS, _LONG_LIMITS, *more)
+        except SumoError as error:
+            raise TownError(
+                f"{town.sumocfg}: SUMO could not warm its traffic up for {warmup_s:g} s ({error}); "
+                "reduce world.warmup_s, or the load: a smaller scale, fewer vehicles and persons"
+            ) from None
+    if run.returncode:
+        message = "%s: SUMO cannot load this scenario's state (%s); each world warms it up by ticks"
+        log.info(message, town.name, run.reason())
+    write_verdict(verdict, _FAILS if run.returncode else _LOADS)
+    return run.returncode == 0
+
+
+def _run_steps(
+    staged: Scenario, settings: Settings, steps: int, limits: Limits, *more: str
+) -> ToolRun:
+    """Run `first_steps` in a child. Raises SumoError: it takes too long."""
+    command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(staged.sumocfg)]
+    command += [repr(settings.world.tick_s), str(steps), _STARTED_ANEW, *more]
+    # The child has to find the packages that this process found, however it was started.
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
+    return run_child("sumo", command, staged.sumocfg.parent, env, limits)
 
 
 def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:

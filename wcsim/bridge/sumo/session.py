@@ -5,8 +5,9 @@ refuses to start while another one is loaded. Whole-world reset is one drain ste
 `libsumo.load` (bit-identical; `loadState` is not). Nothing but `ActorState` and `SignalState`
 leaves this file.
 
-`open_session` starts it with the scenario of a town, staged and tried out; `warm_up` lets the
-traffic run alone.
+`open_session` starts it with the scenario of a town, staged and tried out. A session begins when
+its traffic has warmed up: from a saved state (`warm_state.py`), or by ticks where a scenario's
+states cannot be loaded.
 """
 
 import locale
@@ -15,21 +16,32 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wcsim.bridge.sumo.actors import ActorReader, SignalReader
-from wcsim.bridge.sumo.open_scenario import open_scenario
+from wcsim.bridge.sumo.open_scenario import open_scenario, try_state
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.signal_control import SignalControl
 from wcsim.bridge.sumo.step_hook import HookChair, StepHook
 from wcsim.bridge.sumo.vehicle_control import VehicleControl
+from wcsim.bridge.sumo.warm_state import (
+    COARSE_STEP_S,
+    SAVING,
+    coarse_warmup_s,
+    mend_state,
+    read_state,
+    save_state,
+    state_file,
+)
 from wcsim.config import RunConfig
 from wcsim.config.world import JUPEDSIM
 from wcsim.core import seeding
 from wcsim.core.closing import ClosingContextBase
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import SumoError, WorldInUseError
 from wcsim.towns.scenario.overrides import JUMPING, PEOPLE, Settings, forced
 from wcsim.towns.scenario.stage import Scenario
@@ -60,13 +72,15 @@ class SumoOptions:
     author_scale: float = 1.0  # the scenario's own, which demand_scale multiplies
     warnings: str = ""  # the file that SUMO writes them into
     hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`
+    warmup_s: float = 0.0
+    digest: str = ""  # of a scenario whose states can be loaded
 
-    def arguments(self) -> list[str]:
-        """The command line for libsumo; all that follows the configuration overrides it."""
-        words = ["sumo", "--configuration-file", str(self.sumocfg)]
-        for name, value in forced(self.settings, self.author_scale):
-            words += [f"--{name}", value]
-        return words
+    def arguments(self, **more: str) -> list[str]:
+        """The options of SUMO; all that follow the configuration override it, `more` the others."""
+        values = dict(forced(self.settings, self.author_scale))
+        values |= {name.replace("_", "-"): value for name, value in more.items()}
+        pairs = ((f"--{name}", value) for name, value in values.items())
+        return ["--configuration-file", str(self.sumocfg), *chain.from_iterable(pairs)]
 
 
 class SumoSession(ClosingContextBase):
@@ -90,12 +104,10 @@ class SumoSession(ClosingContextBase):
         # SUMO reads the names of files in the locale's letters; that of LC_ALL=C has ASCII's alone.
         if locale.nl_langinfo(locale.CODESET) != "UTF-8":
             locale.setlocale(locale.LC_CTYPE, UTF_8)
-        self._guarded(lambda: libsumo.start(options.arguments()))
         try:
-            self._hook = self._new_hook()
+            # `start` wants the program's name before the options, `load` takes these alone.
+            self._begin(lambda words: libsumo.start(["sumo", *words]))
             self._signals = SignalReader(libsumo, options.origin_m)
-            people = libsumo.simulation.getOption(PEOPLE)
-            self._jumpers, self._by_jupedsim = people == JUMPING, people == JUPEDSIM
         except BaseException:
             self.close()
             raise
@@ -155,20 +167,53 @@ class SumoSession(ClosingContextBase):
 
     def rebuild(self, seed: int) -> None:
         """Start the scenario again from its beginning with another seed."""
-        # A drain step: libsumo can crash when it is loaded over pending commands.
-        self._guarded(libsumo.simulationStep)
         self._options = replace(self._options, settings=replace(self._options.settings, seed=seed))
+        self._begin(self._load_anew)
+
+    def _begin(self, load: Callable[[list[str]], object]) -> None:
+        """Load the scenario, its traffic warmed up: from a state where there can be one."""
+        options, tick_s = self._options, self._options.settings.world.tick_s
+        coarse_s = coarse_warmup_s(options.warmup_s, tick_s) if options.digest else 0.0
+        if not coarse_s:
+            self._guarded(lambda: load(options.arguments()))
+        else:
+            place = state_file(options.digest, options.settings.seed, coarse_s)
+            state = read_state(place)
+            with create_temporary_folder() as folder:
+                file = folder / "state.xml"
+                # 1. Make the state where there is none.
+                if state is None:
+                    coarse = options.arguments(step_length=repr(COARSE_STEP_S), **SAVING)
+                    self._guarded(lambda: load(coarse))
+                    for _ in range(round(coarse_s / COARSE_STEP_S)):
+                        self._guarded(libsumo.simulationStep)
+                    self._guarded(lambda: libsumo.simulation.saveState(str(file)))
+                    state, load = mend_state(file.read_bytes()), self._load_anew
+                    save_state(place, state)
+                # 2. Load it. SUMO leaves out a part of the saved people by a scale other than one,
+                #    and dies of their absence; the scale of those who come is set afterwards.
+                file.write_bytes(state)
+                begin = options.arguments(scale="1", load_state=str(file))
+                self._guarded(lambda: load(begin))
+            scale = options.author_scale * options.settings.world.demand_scale
+            if scale != 1.0:
+                self._guarded(lambda: libsumo.simulation.setScale(scale))
+        # 3. Forget what was of another run; a hook's object too, with what it has learned.
         self._reader.forget()
         self.pilot.forget()
         self.buttons.forget()
         self._reset_counts()
-        # `load` takes options alone, where `start` wants the program's name before them.
-        self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))
-        # Another object: what a hook has learned is of the run that is over.
-        self._hook = self._new_hook()
+        people = libsumo.simulation.getOption(PEOPLE)
+        self._jumpers, self._by_jupedsim = people == JUMPING, people == JUPEDSIM
+        self._hook = StepHook(options.hook, libsumo) if options.hook else None
+        # 4. The rest of the warm-up.
+        for _ in range(round((options.warmup_s - coarse_s) / tick_s)):
+            self.step()
 
-    def _new_hook(self) -> StepHook | None:
-        return StepHook(self._options.hook, libsumo) if self._options.hook else None
+    def _load_anew(self, words: list[str]) -> None:
+        # A drain step: libsumo can crash when it is loaded over pending commands.
+        libsumo.simulationStep()
+        libsumo.load(words)
 
     def time_s(self) -> float:
         """Simulated seconds since the scenario's beginning."""
@@ -207,7 +252,8 @@ class SumoSession(ClosingContextBase):
         """End SUMO; a second call does nothing."""
         if self._open:
             self._open = False
-            libsumo.close()
+            if libsumo.isLoaded():
+                libsumo.close()
             self.warnings.read()
 
     def _guarded(self, call: Any) -> None:
@@ -243,7 +289,7 @@ def sumo_seed(seed: int) -> int:
 def open_session(
     town: Town, config: RunConfig, seed: int, place: RunPlace, net_z_m: float, held: ExitStack
 ) -> tuple[Scenario, SumoSession]:
-    """Start SUMO for a world with this seed.
+    """Start SUMO for a world with this seed, and let its traffic warm up.
 
     `held` ends it, `net_z_m` is the net's own height of W's z = 0.
 
@@ -253,6 +299,10 @@ def open_session(
     """
     settings = Settings(world=config.world, seed=sumo_seed(seed))
     scenario = open_scenario(town, settings, place, held)
+    for_s = warmup_s(town, config)
+    # A hook takes part in the warm-up.
+    is_saved = not place.hook and coarse_warmup_s(for_s, config.world.tick_s) > 0.0
+    is_saved = is_saved and try_state(town, settings, scenario, for_s)
     options = SumoOptions(
         sumocfg=scenario.sumocfg,
         origin_m=town.file.origin_m,
@@ -261,6 +311,8 @@ def open_session(
         author_scale=scenario.author_scale,
         warnings=scenario.warnings,
         hook=place.hook,
+        warmup_s=for_s,
+        digest=scenario.digest if is_saved else "",
     )
     return scenario, held.enter_context(SumoSession(options))
 
@@ -270,9 +322,3 @@ def warmup_s(town: Town, config: RunConfig) -> float:
     if config.world.warmup_s is not None:
         return config.world.warmup_s
     return _WARMUP_S if town.file.warmup_s is None else town.file.warmup_s
-
-
-def warm_up(sumo: SumoSession, for_s: float, tick_s: float) -> None:
-    """Let the traffic run alone."""
-    for _ in range(round(for_s / tick_s)):
-        sumo.step()

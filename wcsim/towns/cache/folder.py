@@ -28,14 +28,15 @@ _KEY = "[0-9a-f]{32}"
 # For what is unfinished see `files.write_file_atomically`.
 _KINDS = {
     "streets": re.compile(rf"street-{_KEY}\.npz"),
-    "verdicts": re.compile(rf"(scenario|net)-{_KEY}\.ok"),
+    "verdicts": re.compile(rf"(scenario|net|state)-{_KEY}\.ok"),
+    "states": re.compile(rf"warm-{_KEY}\.xml\.gz"),
     "kernels": re.compile(rf"{KERNELS}/[^/]+/[\w.-]+\.nbi"),
     "code": re.compile(rf"{KERNELS}/[^/]+/[\w.-]+\.(nbc|lock)"),  # of the kernels
     "driven": re.compile(
         r"drive-scenes/([a-z][a-z-]*-\d+-[0-9a-f]{16}|\.\w{8})|drive-towns/made-\d+"
     ),
     "unfinished": re.compile(
-        rf"street-{_KEY}\.lock|\.(street|scenario|net)-{_KEY}\.(npz|ok)\.\d+-\w+\.tmp"
+        rf"street-{_KEY}\.lock|\.(street|scenario|net|state|warm)-{_KEY}\.(npz|ok|xml\.gz)\.\d+-\w+\.tmp"
     ),
 }
 
@@ -52,16 +53,21 @@ def shown_cache() -> str:
     return escape(Path("~") / folder.relative_to(own) if own is not None and is_own else folder)
 
 
-def write_verdict(path: Path) -> None:
-    """Save that a check passed, as a small file under its hash; of a kind the newest ones stay."""
+def write_verdict(path: Path, text: bytes = b"ok\n") -> None:
+    """Save what a check found, as a small file under its hash; of a kind the newest ones stay."""
     # A cache that cannot be written is no error.
     with suppress(DiskFullError):
-        write_bytes(path, b"ok\n")
-    verdicts = list(path.parent.glob(f"{path.name.partition('-')[0]}-*{path.suffix}"))
-    if len(verdicts) > MOST_VERDICTS:
+        write_bytes(path, text)
+    keep_newest(path, MOST_VERDICTS)
+
+
+def keep_newest(path: Path, most: int) -> None:
+    """Remove the older half of the files of this one's kind where there are more than `most`."""
+    files = list(path.parent.glob(f"{path.name.partition('-')[0]}-*{path.suffix}"))
+    if len(files) > most:
         with suppress(OSError):
-            verdicts.sort(key=lambda each: each.stat().st_mtime_ns)
-            for old in verdicts[: len(verdicts) - MOST_VERDICTS // 2]:
+            files.sort(key=lambda each: each.stat().st_mtime_ns)
+            for old in files[: len(files) - most // 2]:
                 old.unlink(missing_ok=True)
 
 
@@ -72,6 +78,7 @@ class _CacheFacts:
     folder: Path
     streets: int
     verdicts: int  # on nets and scenarios that were tried
+    states: int  # of warmed traffic
     kernels: int  # whose machine code is cached here: those of a read-only package
     driven: int  # scenes and towns that were generated for the driving page
     unfinished: int  # begun and left
@@ -86,6 +93,7 @@ def cache_facts() -> _CacheFacts:
         folder=cache_folder(),
         streets=number["streets"],
         verdicts=number["verdicts"],
+        states=number["states"],
         kernels=number["kernels"],
         driven=number["driven"],
         unfinished=number["unfinished"],
