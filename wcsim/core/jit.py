@@ -57,6 +57,16 @@ def compile_exact_kernel(function: Callable[P, R]) -> Callable[P, R]:
     return _compiled(function)
 
 
+def cache_other_kernels() -> None:
+    """Have numba cache other packages' kernels in wcsim's folder.
+
+    Else it raises RuntimeError where neither their own folder nor the user's home can be written.
+    """
+    config = cast(Any, numba.config)
+    if not config.CACHE_DIR:
+        config.CACHE_DIR = str(find_cache_folder() / KERNELS)
+
+
 def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     compiled: Any = numba.njit(**options)(function)
     # Not jitted where numba's user has turned compilation off.

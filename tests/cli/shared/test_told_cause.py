@@ -37,7 +37,7 @@ def _run(words: str, folder: Path, **more: str) -> tuple[int, str]:
 )
 def test_a_command_in_bad_surroundings_ends_with_a_line_and_code_2(tmp_path: Path, words: str, told: str) -> None:
     package = str(Path(wcsim.__file__).parents[1])
-    code, err = _run(words, tmp_path, PYTHONPATH=package)
+    code, err = _run(words, tmp_path, PYTHONPATH=f"{package}:{os.environ.get('PYTHONPATH', package)}")
     assert (code, err.count("\n")) == (ExitCode.REFUSED, 1), err
     assert err.startswith(f"wcsim: {told}")
 

@@ -1,3 +1,8 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from wcsim.towns.osm.read import side_at
@@ -87,3 +92,17 @@ def test_the_reason_is_said() -> None:
     assert str(side_at(*LEFT["Tokyo"])) == "left (time zone Asia/Tokyo)"
     assert str(side_at(*RIGHT["Hanoi"])) == "right (Vietnam, in time zone Asia/Bangkok)"
     assert str(side_at(-30.0, 0.0)) == "right (country unknown)"
+
+
+def test_the_zone_is_found_where_wcsims_cache_alone_can_be_written(tmp_path: Path) -> None:
+    code = (
+        "from numba.core import caching\n"
+        "for place in (caching.InTreeCacheLocator, caching.UserWideCacheLocator):\n"
+        "    place.from_function = classmethod(lambda *_: None)\n"
+        "from wcsim.towns.osm.read import side_at\n"
+        "print(side_at(139.70, 35.68))"
+    )
+    env = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    run = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout, run.stderr) == (0, "left (time zone Asia/Tokyo)\n", "")
+    assert list(tmp_path.glob("wcsim/kernels/*/*.nbi"))

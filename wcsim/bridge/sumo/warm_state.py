@@ -15,7 +15,7 @@ from typing import Final
 
 from wcsim.core.files import write_bytes
 from wcsim.errors import DiskFullError
-from wcsim.towns.cache.folder import cache_folder, keep_newest
+from wcsim.towns.cache.folder import cache_folder, remove_older_half
 
 COARSE_STEP_S: Final = 1.0
 SAVING: Final = {
@@ -68,7 +68,7 @@ def save_state(path: Path, state: bytes) -> None:
     """Save a state for the worlds to come; a cache that cannot be written is no error."""
     with suppress(DiskFullError):
         write_bytes(path, gzip.compress(state, compresslevel=3, mtime=0))
-    keep_newest(path, _MOST_STATES)
+    remove_older_half(path, _MOST_STATES)
 
 
 def mend_state(state: bytes) -> bytes:

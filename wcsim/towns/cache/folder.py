@@ -58,10 +58,10 @@ def write_verdict(path: Path, text: bytes = b"ok\n") -> None:
     # A cache that cannot be written is no error.
     with suppress(DiskFullError):
         write_bytes(path, text)
-    keep_newest(path, MOST_VERDICTS)
+    remove_older_half(path, MOST_VERDICTS)
 
 
-def keep_newest(path: Path, most: int) -> None:
+def remove_older_half(path: Path, most: int) -> None:
     """Remove the older half of the files of this one's kind where there are more than `most`."""
     files = list(path.parent.glob(f"{path.name.partition('-')[0]}-*{path.suffix}"))
     if len(files) > most:

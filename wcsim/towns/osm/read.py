@@ -152,7 +152,10 @@ def side_at(longitude_deg: float, latitude_deg: float) -> Side:
     >>> str(side_at(139.70, 35.68)), str(side_at(1.86, 50.95))
     ('left (time zone Asia/Tokyo)', 'right (time zone Europe/Paris)')
     """
-    # It takes half a second, which only an import needs.
+    # These take half a second, which only an import needs.
+    from wcsim.core.jit import cache_other_kernels
+
+    cache_other_kernels()
     from timezonefinder import TimezoneFinder
 
     zone = TimezoneFinder().timezone_at(lng=longitude_deg, lat=latitude_deg)
