@@ -9,7 +9,7 @@ from tests.support.worlds import follow, open_world
 from wcsim.bridge.epoch import ReactingTraffic
 from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.bridge.sumo.run_place import RunPlace
-from wcsim.bridge.sumo.session import SumoSession, open_session, warm_up, warmup_s
+from wcsim.bridge.sumo.session import SumoSession, open_session
 from wcsim.core import seeding
 
 TICKS = 250
@@ -28,7 +28,6 @@ def test_a_worlds_actors_are_those_of_its_traffic_alone_round_the_same_chairs(co
             assert all(client.first is None for client in snapshot.clients), "nobody is put elsewhere"
     with ExitStack() as held:
         _, sumo = open_session(town, config, 4, RunPlace(), street.net_origin_m[2], held)
-        warm_up(sumo, warmup_s(town, config), config.world.tick_s)
         habits = AttentionModel(config.world, seeding.derive_seed(4, "street"))
         traffic = ReactingTraffic(config.world, street.grid, sumo, habits)
         traffic.look_again(places[0])

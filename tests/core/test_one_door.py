@@ -22,6 +22,7 @@ WRITES = ("'w'", "'wb'", "'a'", "'ab'", "'x'", "'xb'", "O_WRONLY", "O_CREAT", "O
 OPENERS = {"machines", "self._hands", "video", "memory", "self._writer"}  # of other things than files
 BESIDE = {
     "its own process or child made it": (
+        "bridge/sumo/session.py", "bridge/sumo/warm_state.py",
         "agents/evaluation/suite/run.py", "agents/export/footprint.py", "cli/training/demo.py", "scenes/run.py",
         "server/launch/event_log.py", "server/launch/supervised.py", "core/processes.py",
         "server/workers/ray_workers.py", "server/workers/cluster_node.py", "towns/importing/folder_texts.py",
