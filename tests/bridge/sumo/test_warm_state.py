@@ -12,7 +12,7 @@ from tests.support.worlds import quick_config
 from tests.towns.made import hostile
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoSession, open_session
-from wcsim.bridge.sumo.warm_state import mend_state, read_state
+from wcsim.bridge.sumo.warm_state import mend_state, read_state, save_state
 from wcsim.towns.scenario.town import Town, find_town, open_town
 
 
@@ -104,3 +104,16 @@ def test_a_mended_state_reads_a_millisecond_earlier_and_has_no_advice():
     state = b'<delay number="1" loaderTime="600000"/><vehicle pos="1 2" lcStateBase="5.0 0.2 7.0"/>'
     assert mend_state(state) == b'<delay number="1" loaderTime="599999"/><vehicle pos="1 2" lcStateBase="5.0"/>'
     assert mend_state(b'<delay loaderTime="0"/>') == b'<delay loaderTime="0"/>'
+
+
+def test_whatever_damages_a_state_makes_it_none(tmp_path):
+    path = tmp_path / "warm.xml.gz"
+    save_state(path, bytes(range(256)) * 40)
+    whole = path.read_bytes()
+    assert read_state(path) == bytes(range(256)) * 40
+    for place in range(len(whole)):
+        path.write_bytes(whole[:place])
+        assert read_state(path) is None
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 255]) + whole[place + 1 :])
+        assert read_state(path) in (None, bytes(range(256)) * 40)
+    assert read_state(tmp_path / "none") is None

@@ -3,7 +3,6 @@
 A world and those who order one both know `RunPlace`, so nothing here loads a simulator.
 """
 
-import hashlib
 import logging
 import os
 import sys
@@ -15,6 +14,7 @@ from xml.etree import ElementTree
 
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.config.world import JUPEDSIM
+from wcsim.core.files import sha256_from_text
 from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
@@ -71,7 +71,7 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
     """
     # With SUMO's version: another one may die of what this one runs.
     state = f"{digest} {version('libsumo')} {_TRIAL_STEPS} {_JUPEDSIM_TRIAL_S} {_STARTED_ANEW}"
-    key = hashlib.sha256(state.encode()).hexdigest()[:32]
+    key = sha256_from_text(state)[:32]
     verdict = cache_folder() / f"scenario-{key}.ok"
     if verdict.is_file():
         return
@@ -124,7 +124,7 @@ def try_state(town: Town, settings: Settings, scenario: Scenario, warmup_s: floa
     if read_configuration(scenario.sumocfg).value(PEOPLE) == JUPEDSIM:
         return False
     state = f"{scenario.digest} {version('libsumo')} {_TRIAL_STEPS} {warmup_s!r}"
-    verdict = cache_folder() / f"state-{hashlib.sha256(state.encode()).hexdigest()[:32]}.ok"
+    verdict = cache_folder() / f"state-{sha256_from_text(state)[:32]}.ok"
     with suppress(OSError):
         return verdict.read_bytes() == _LOADS
     with create_temporary_folder() as work:

@@ -6,14 +6,14 @@ before or not.
 """
 
 import gzip
-import hashlib
 import re
+import zlib
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
-from wcsim.core.files import write_bytes
+from wcsim.core.files import sha256_from_text, write_bytes
 from wcsim.errors import DiskFullError
 from wcsim.towns.cache.folder import cache_folder, remove_older_half
 
@@ -53,14 +53,14 @@ def state_file(digest: str, seed: int, coarse_s: float) -> Path:
         coarse_s: As of `coarse_warmup_s`.
     """
     state = f"{digest} {version('libsumo')} {seed} {coarse_s!r} {SAVING} {_FORM}"
-    return cache_folder() / f"warm-{hashlib.sha256(state.encode()).hexdigest()[:32]}.xml.gz"
+    return cache_folder() / f"warm-{sha256_from_text(state)[:32]}.xml.gz"
 
 
 def read_state(path: Path) -> bytes | None:
     """The state of that file; None where there is none, or a damaged one."""
     try:
-        return gzip.decompress(path.read_bytes())
-    except (OSError, EOFError, ValueError):
+        return gzip.decompress(path.read_bytes()) or None
+    except (OSError, EOFError, zlib.error):
         return None
 
 
