@@ -57,6 +57,7 @@ _TILE_MORE_M = 100.0  # and so much more is loaded whenever the pictures need an
 # In the engine: a body costs a step 0.05 us wherever it is, so these cost a tenth of a chair.
 MOST_TILES = 64
 ENGINE_STAY_M = 250.0  # but what is so near a chair stays
+_MOST_STORES = 512  # tiles that are ready to be drawn, 0.1 MB each
 _MOVED_M = 1.0  # who has moved less since tiles were looked for needs no others
 
 
@@ -443,7 +444,8 @@ class _TileLoader:
         self._sight_m = range_m + _SIGHT_MORE_M
         # For which engine and from where, the last time.
         self._looked: tuple[StreetBodies, F64] | None = None
-        self._drawn: dict[TileKey, GeometryStore] = {}
+        self._drawn: tuple[TileKey, ...] = ()
+        self._stores: dict[TileKey, GeometryStore] = {}
 
     def load(self, places_W_m: F64, laid: StreetBodies, stopwatch: Stopwatch) -> None:
         """Have the street around these places (n, 2) there; `laid` are the tiles in the engine.
@@ -457,7 +459,7 @@ class _TileLoader:
         self._looked = laid, places_W_m
         close = self._tiles.near(places_W_m, _ENGINE_REACH_M)
         under = [key for key in close if key not in laid.keys]
-        drawn = self._drawn.keys() >= set(self._tiles.near(places_W_m, self._sight_m))
+        drawn = set(self._drawn) >= set(self._tiles.near(places_W_m, self._sight_m))
         if drawn and not under:
             return
         with stopwatch.measure("street"):
@@ -469,9 +471,12 @@ class _TileLoader:
                 for key in sorted(far):
                     laid.lift(key)
             if not drawn:
-                keys, old = self._tiles.near(places_W_m, self._sight_m + _TILE_MORE_M), self._drawn
-                # Stores are used again: making one takes many times as long as joining them.
-                self._drawn = {
-                    key: old.get(key) or GeometryStore(self._tiles.mesh(key)) for key in keys
-                }
-                self._rig.show(GeometryStore.joined(list(self._drawn.values())))
+                # Stores are used again, also by worlds to come: making one takes many times as
+                # long as joining them.
+                self._drawn = tuple(self._tiles.near(places_W_m, self._sight_m + _TILE_MORE_M))
+                if len(self._stores) > _MOST_STORES:
+                    self._stores.clear()
+                for key in self._drawn:
+                    if key not in self._stores:
+                        self._stores[key] = GeometryStore(self._tiles.mesh(key))
+                self._rig.show(GeometryStore.joined([self._stores[key] for key in self._drawn]))

@@ -198,7 +198,13 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
                 f"argument '{escape(word)}' is not valid UTF-8; "
                 "rename that file, or set LANG=C.UTF-8"
             )
-        return work(words)
+        try:
+            return work(words)
+        except RuntimeError as error:
+            # Python 3.11 wraps what a signal raises while a class is being made.
+            if isinstance(error.__cause__, KeyboardInterrupt):
+                raise error.__cause__ from None
+            raise
     except WcsimError as error:
         print(f"wcsim: {_printable(str(error))}", file=sys.stderr)
         return exit_code_from_error(error)

@@ -18,8 +18,6 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
-from filelock import FileLock
-
 from wcsim.core.reading import is_folder, require_no_outward_links
 from wcsim.errors import DiskFullError, PolicyError, UnwritableError
 
@@ -41,6 +39,8 @@ def hold_file_lock(lock: Path) -> Iterator[None]:
     Where no lock can be made, as in a read-only folder, none waits. The last owner removes the
     lock's file; a process that waits for a removed one makes a new one.
     """
+    from filelock import FileLock
+
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError, NotImplementedError):
             lock.parent.mkdir(parents=True, exist_ok=True)

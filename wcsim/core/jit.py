@@ -5,8 +5,8 @@ file, and the constants that it names. Its own cache notices a change of the ker
 here a copy is named by a digest of the kernel and of all that is frozen into it, taken at the first
 call, when everything has its value.
 
-The copies lie in wcsim's cache folder, so a new checkout or installation finds those of the old one;
-or in `__pycache__` beside the source; where neither can be written, each process compiles for
+The copies lie in wcsim's cache folder, so a new checkout or installation finds those of the old
+one; or in `__pycache__` beside the source; where neither can be written, each process compiles for
 itself. The newest few copies of a kernel stay. Of processes that need the same copy at the same
 time one compiles it, and the others wait for a lock beside it.
 """
@@ -89,7 +89,10 @@ class _CacheFolderLocator(UserWideCacheLocator):
 class _Copies(CompileResultCacheImpl):
     """Where copies may lie, the best place first."""
 
-    _locator_classes = (_CacheFolderLocator, *CompileResultCacheImpl._locator_classes)
+    _locator_classes = [  # noqa: RUF012 - numba's own form
+        _CacheFolderLocator,
+        *CompileResultCacheImpl._locator_classes,
+    ]
 
 
 class _FrozenCache(FunctionCache):

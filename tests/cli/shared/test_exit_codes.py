@@ -52,6 +52,19 @@ def test_what_ends_a_command_is_told_in_a_line(monkeypatch, capsys, error, code,
     assert (err.count("\n"), told in err) == (1, True), err
 
 
+def test_an_interrupt_while_a_class_is_made_is_one(monkeypatch, capsys):
+    """Python 3.11 wraps what is raised in `__set_name__`; pydantic has many."""
+
+    class Field:
+        def __set_name__(self, owner, name):
+            raise KeyboardInterrupt
+
+    work = types.SimpleNamespace(run=lambda words: type("Model", (), {"field": Field()}))
+    monkeypatch.setitem(sys.modules, "wcsim.cli.doctor", work)
+    assert cli.main(["doctor"]) == ExitCode.INTERRUPTED
+    assert capsys.readouterr().err == "wcsim: interrupted\n"
+
+
 def test_other_errors_of_the_system_stay_what_they_are(monkeypatch):
     def fails(words):
         raise PermissionError(errno.EPERM, "no")

@@ -2,6 +2,8 @@
 
 import errno
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -133,3 +135,12 @@ def test_no_more_steps_are_told_than_there_are_to_do(capsys):
     with StageBar("loading the town") as bar:
         make_progress_callback(bar)(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
     assert capsys.readouterr().err == "phase 2: 50/50 steps, 1 episode, 0 crashes\n"
+
+
+@pytest.mark.parametrize("command", ["train", "train-q"])
+def test_help_loads_nothing_that_a_training_needs(command: str) -> None:
+    code = f"import sys; from wcsim.cli.main import main; sys.argv = ['wcsim', '{command}', '--help']; main()"
+    ends = "; ".join(["import atexit, sys", "atexit.register(lambda: print(*sys.modules, file=sys.stderr))", code])
+    done = subprocess.run([sys.executable, "-c", ends], capture_output=True, text=True, check=True)
+    heavy = {"numpy", "pydantic", "torch", "gymnasium", "libsumo", "pybullet", "numba", "wcsim.config"}
+    assert "--preset" in done.stdout and not heavy & set(done.stderr.split())

@@ -189,7 +189,10 @@ def make_block_setup(
         )
     built, scene = build_scene(folder, work / SCENE_TOWN)
     return BlockSetup(
-        town=built, config=scene_config(scene, config), seed=scene.seed, recordings=folder
+        town=replace(built, drafted=True),
+        config=scene_config(scene, config),
+        seed=scene.seed,
+        recordings=folder,
     )
 
 

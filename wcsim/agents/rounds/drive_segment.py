@@ -220,7 +220,8 @@ def _scenes(order: SegmentOrder, config: RunConfig, work: Path) -> Iterator[_Seg
         ticks = round(scene.duration_s / config.world.tick_s)
         seats = tuple(replace(spec, max_steps=ticks) for spec in seat_specs(folder, scene, town.file.origin_m))
         own = scene_config(scene, config)
-        yield _SegmentPlace(town=replace(town, passing=True), config=own, seats=seats, ticks=ticks, seed=scene.seed)
+        town = replace(town, passing=True, drafted=True)
+        yield _SegmentPlace(town=town, config=own, seats=seats, ticks=ticks, seed=scene.seed)
 
 
 class _Learned(HearsSent, Protocol):

@@ -8,6 +8,7 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -103,13 +104,6 @@ class Ego:
         self._drawn = not spec.near or any(camera.rgb for camera in config.cameras)
         self._street = street
         self._router = router
-        plant = plant_spec(config.chair)
-        wheels_m = np.column_stack([plant.stand_m(), plant.trails_m()])
-        rims_m = np.array(plant.rims_m()).reshape(-1, 3)  # none of a high frame
-        points, tick_s = action_set(config.env.lattice).points, config.world.tick_s
-        self._oracle = CrashOracle(
-            street.grid, config.chair, plant.outline, wheels_m, rims_m, points, tick_s
-        )
         self._variation = Randomization(config, index)
         self.chair: Wheelchair  # of this epoch: from `build` on
         self._rig: CameraRig
@@ -134,6 +128,17 @@ class Ego:
         self._shown_actors = _ShownActors(config.world)
         self._button: CrossingButton  # of this route
         self.asks: GreenRequest | None = None  # of a light: its button has been pressed
+
+    @cached_property
+    def _oracle(self) -> CrashOracle:
+        """Of this chair; most are asked for no truth."""
+        chair, plant = self._config.chair, plant_spec(self._config.chair)
+        wheels_m = np.column_stack([plant.stand_m(), plant.trails_m()])
+        rims_m = np.array(plant.rims_m()).reshape(-1, 3)  # none of a high frame
+        points, tick_s = action_set(self._config.env.lattice).points, self._config.world.tick_s
+        return CrashOracle(
+            self._street.grid, chair, plant.outline, wheels_m, rims_m, points, tick_s
+        )
 
     @property
     def profile(self) -> UserProfile | None:

@@ -18,15 +18,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_args, get_
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
-from wcsim.config.load import format_presets_table, is_override_of_key
 from wcsim.core.files import find_existing_ancestor, is_writable_folder, write_file_atomically
 from wcsim.core.reading import escape, is_folder
 from wcsim.errors import ConfigError, meant, nearest
-from wcsim.server.workers.machines import LOCAL, WorkerPoolSettings, require_reachable_cluster
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.drive.playing.play_runner import PlayStart
     from wcsim.drive.runner import DriveOrder
+    from wcsim.server.workers.machines import WorkerPoolSettings
 
 MAX_SEED: Final = (1 << 31) - 1
 
@@ -95,6 +94,8 @@ class AllowedSettingKeys(OptionConstraint):
 
     def check(self, option: str, value: Any) -> None:
         """See `OptionConstraint`."""
+        from wcsim.config.load import is_override_of_key
+
         for text in value:
             for key, advice in self.instead.items():
                 if is_override_of_key(text, key):
@@ -186,6 +187,8 @@ def parse_options(options: type[T], words: list[str], command: str, program: str
     """
     _require_bare(options, words, command)
     if issubclass(options, SettingsOptions) and words[-1:] == ["--preset"]:
+        from wcsim.config.load import format_presets_table
+
         print(format_presets_table(), end="")
         raise SystemExit(0)
     prog = f"{program} {command}"
@@ -337,6 +340,8 @@ def workers_from_options(cluster: str, workers: int | None, option: str) -> Work
     Raises:
         ConfigError: There are no such machines.
     """
+    from wcsim.server.workers.machines import LOCAL, WorkerPoolSettings, require_reachable_cluster
+
     if not cluster:
         return WorkerPoolSettings(count=resolve_worker_count(workers))
 

@@ -5,20 +5,13 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from wcsim.agents.opening.learner_registry import Q_LEARNING, learner_from_config
 from wcsim.agents.runs.run_folder import ResolvedRun, has_results
 from wcsim.cli.shared.common import (
-    ExistingName,
-    Flag,
-    OutFile,
-    OutFolder,
-    Repeated,
-    SettingsOptions,
-    Steps,
     remove_folders_on_failure,
     split_nonempty_list,
     workers_from_options,
@@ -31,6 +24,11 @@ from wcsim.cli.shared.run_config import (
     refuse_held_out_users,
     require_matching_learner,
     settings_from_learner,
+)
+from wcsim.cli.shared.training_options import (
+    OutputOptions,
+    QLearningBaseOptions,
+    TrainingOptions,
 )
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.config.held_out import refuse_held_out
@@ -47,7 +45,6 @@ from wcsim.errors import (
 )
 from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import WorkerPoolSettings
-from wcsim.supervisor.rewards import make_reward_term
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.making.asked_town import refuse_held_out_town, requested_town
 from wcsim.towns.scenario.town import Town, by_name, streets_hash
@@ -58,57 +55,6 @@ if TYPE_CHECKING:  # these load PyTorch, which --help must not
 
 # Of [learn]: a preset's own values shrink when --steps asks for a short run.
 _SHRINKING: Final = ("phase1_steps", "learning_starts")
-
-
-@dataclass(kw_only=True)
-class OutputOptions:
-    """What a training prints, and the file that names its run."""
-
-    verbose: Flag = False
-    """Show which SUMO options of the town are overridden, and why."""
-    json: OutFile = None
-    """Write the path of the run to this file."""
-
-
-@dataclass(kw_only=True)
-class TrainingOptions(SettingsOptions, OutputOptions):
-    """Options of every new training."""
-
-    town: str = "helsinki"
-    """Training towns, separated by commas: a town's name, its folder, or a .sumocfg file; made:SEED is generated. The
-    world changes town after world.epoch_ticks. Test towns need --allow-test-town."""  # noqa: E501 - help text
-    seed: int = 0
-    """Random seed: equal seeds give equal weights."""
-    out: OutFolder = None
-    """Run folder; default runs/TOWN-PRESET-SEED."""
-    tensorboard: bool = False
-    """Also log scalars for TensorBoard in the run folder, as --set learn.tensorboard=true."""
-    allow_test_town: bool = False
-    """Allow training in a test town."""
-
-
-@dataclass(kw_only=True)
-class QLearningBaseOptions(SettingsOptions):
-    """Options of every command that learns by Q-learning."""
-
-    preset: str = "dqn"
-    """Preset to start from: dqn or paper. Without a name: a table of all."""
-    reward: Annotated[Repeated, ExistingName(make_reward_term)] = ()
-    """Your own reward term as module:Class, added to the paper's terms."""
-    steps: Steps = None
-    """Total steps, as --set learn.total_steps=N. A preset's first phase of more than half of them shrinks."""  # noqa: E501 - help text
-
-
-@dataclass(kw_only=True)
-class NewQTrainingOptions(QLearningBaseOptions, TrainingOptions):
-    """Options of every new training by Q-learning."""
-
-    hook: str = ""
-    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""  # noqa: E501 - help text
-
-    def info(self, command: tuple[str, ...]) -> RunInfo:
-        """What is known of a run before its town is."""
-        return RunInfo(seed=self.seed, rewards=self.reward, command=command, hook=self.hook)
 
 
 def make_q_config_layers(

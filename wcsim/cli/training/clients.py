@@ -34,7 +34,8 @@ from wcsim.cli.shared.common import Lease, Worlds, require_writable_folder, writ
 from wcsim.cli.shared.consoles import print_sumo_overrides, show_table, stdout_console, warn
 from wcsim.cli.shared.exit_codes import ExitCode, NothingSavedInterrupt
 from wcsim.cli.shared.run_config import format_test_command
-from wcsim.cli.shared.training import OutputOptions, print_kpi1_limit_steps
+from wcsim.cli.shared.training import print_kpi1_limit_steps
+from wcsim.cli.shared.training_options import OutputOptions
 from wcsim.core.files import lock_run_folder
 from wcsim.core.own_folder import create_runtime_folder
 from wcsim.core.processes import StopSignalCounter

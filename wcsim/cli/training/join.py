@@ -19,11 +19,11 @@ from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.exit_codes import ExitCode, NothingSavedInterrupt
 from wcsim.cli.shared.run_config import format_test_command, require_known_users
 from wcsim.cli.shared.training import (
-    QLearningBaseOptions,
     make_progress_callback,
     make_q_config_layers,
     remove_run_without_results,
 )
+from wcsim.cli.shared.training_options import QLearningBaseOptions
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import lock_run_folder
 from wcsim.core.own_folder import create_runtime_folder

@@ -34,7 +34,8 @@ from wcsim.cli.shared.common import (
 )
 from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.cli.shared.run_config import add_town_to_run_info, resolve_run_settings
-from wcsim.cli.shared.training import OutputOptions, print_finished_run, train_single_network
+from wcsim.cli.shared.training import print_finished_run, train_single_network
+from wcsim.cli.shared.training_options import OutputOptions
 from wcsim.cli.training.clients import LEASE_S, ClientProcessOptions
 from wcsim.cli.training.phases_apart import train_clients_in_phases
 from wcsim.config import RunConfig, resolve

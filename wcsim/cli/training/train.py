@@ -1,29 +1,23 @@
-"""`wcsim train`: train a danger network, in rounds; `wcsim train-q`: train one by Q-learning."""
+"""`wcsim train`: train a danger network, in rounds; `wcsim train-q`: train one by Q-learning.
+
+What a training needs is loaded once its options are read: the help has to appear at once.
+"""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from wcsim.agents.opening.learner_registry import DANGER_ROUNDS, learner_from_config
 from wcsim.cli.shared.common import Cluster, Repeated, Worlds, parse_options, workers_from_options
 from wcsim.cli.shared.exit_codes import ExitCode
-from wcsim.cli.shared.run_config import (
-    refuse_held_out_users,
-    require_matching_learner,
-    resolve_run_settings,
-)
-from wcsim.cli.shared.training import (
-    NewQTrainingOptions,
-    TrainingOptions,
-    choose_towns_and_folder,
-    make_q_config_layers,
-    print_finished_run,
-    train_single_network,
-)
-from wcsim.config import RunConfig, resolve
-from wcsim.server.specs import RunInfo
-from wcsim.server.workers.machines import WorkerPoolSettings
+from wcsim.cli.shared.training_options import NewQTrainingOptions, TrainingOptions
+
+if TYPE_CHECKING:
+    from wcsim.config import RunConfig
+    from wcsim.server.specs import RunInfo
+    from wcsim.server.workers.machines import WorkerPoolSettings
 
 
 @dataclass(kw_only=True)
@@ -54,6 +48,11 @@ class _QLearningOptions(NewQTrainingOptions):
 def run(words: list[str]) -> int:
     """Train a danger network, and leave a run folder."""
     options = parse_options(_RoundsOptions, words, "train")
+    from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
+    from wcsim.cli.shared.run_config import refuse_held_out_users, require_matching_learner
+    from wcsim.config import resolve
+    from wcsim.server.specs import RunInfo
+
     machines = workers_from_options(options.cluster, options.worlds, "--worlds")
     data = {"collect": {"data": list(options.data)}} if options.data else None
     board = {"learn": {"tensorboard": True}} if options.tensorboard else None
@@ -67,6 +66,9 @@ def run(words: list[str]) -> int:
 def run_train_q(words: list[str]) -> int:
     """Train by Q-learning, and leave a run folder."""
     options = parse_options(_QLearningOptions, words, "train-q")
+    from wcsim.cli.shared.training import make_q_config_layers
+    from wcsim.config import resolve
+
     board = {"learn": {"tensorboard": True}} if options.tensorboard else None
     config = resolve(options.preset, *make_q_config_layers(options, options.network, board))
     return _train(options, options.info(("wcsim", "train-q", *words)), config)
@@ -84,6 +86,14 @@ def _train(
         WcsimError: See `choose_towns_and_folder`, `resolve_run_settings` and
             `train_single_network`.
     """
+    from wcsim.agents.opening.learner_registry import learner_from_config
+    from wcsim.cli.shared.run_config import resolve_run_settings
+    from wcsim.cli.shared.training import (
+        choose_towns_and_folder,
+        print_finished_run,
+        train_single_network,
+    )
+
     # 1. Find the towns and choose the run folder. Refusals so far load no PyTorch.
     town, info, out = choose_towns_and_folder(options, info, config)
 

@@ -12,11 +12,8 @@ from wcsim.agents.clients.group_run import ResolvedClient, ResolvedGroupRun
 from wcsim.agents.networks.names import NETWORK_NAMES, client_name_from_network
 from wcsim.cli.shared.common import Repeated, parse_options, split_nonempty_list
 from wcsim.cli.shared.run_config import add_town_to_run_info, require_known_users
-from wcsim.cli.shared.training import (
-    NewQTrainingOptions,
-    choose_towns_and_folder,
-    make_q_config_layers,
-)
+from wcsim.cli.shared.training import choose_towns_and_folder, make_q_config_layers
+from wcsim.cli.shared.training_options import NewQTrainingOptions
 from wcsim.cli.training.clients import ClientProcessOptions
 from wcsim.cli.training.phases_apart import train_clients_in_phases
 from wcsim.config import resolve

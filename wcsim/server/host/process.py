@@ -64,7 +64,7 @@ _GROWTH_MB: Final = 1_000.0  # by which a process may grow in an epoch
 _WAIT_MS: Final = 50
 _CLOCK_S: Final = 0.1
 # So long a client that a signal holds may owe its action. A held client of the network loses its
-# connection instead, by ZeroMQ's heartbeat: `_HEARTBEAT_S` in `transport/sockets.py`.
+# connection instead: see `ServerSockets.take_lost`.
 _HELD_S: Final = 5.0
 _PARENT_ENDED: Final = signal.SIGUSR1
 _PARENT_ENDED_REASON: Final = "the process that started it is gone"

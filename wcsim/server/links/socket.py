@@ -63,6 +63,10 @@ _POLL_MS: Final = 200
 _CUT_S: Final = 12.0  # a world that is replaced as planned is mostly there again by then
 _BYE_S: Final = 1.0
 _OPTIONS: Final = {
+    # A thread sends and answers them, however long the process computes; not where a signal holds
+    # it.
+    zmq.HEARTBEAT_IVL: 1000,
+    zmq.HEARTBEAT_TIMEOUT: 6000,
     zmq.LINGER: 0,
     zmq.MAXMSGSIZE: m.MAX_REPLY_BYTES,
     zmq.SNDHWM: QUEUE,

@@ -9,7 +9,11 @@ from __future__ import annotations
 import logging
 import os
 import select
+import socket as tcp
+import sys
+import time
 from collections.abc import Callable, Container, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -45,7 +49,9 @@ _LINGER_MS: Final = 500
 _HANDSHAKE_MS: Final = 5_000  # a connection that has not shown its key by then is closed
 _IPC_PATH_BYTES: Final = 107
 _CUT_S: Final = 5  # a machine that vanished, or cannot be reached any more, sends nothing
-_HEARTBEAT_S: Final = 6  # a process that a signal holds does not answer
+_SILENT_MS: Final = 6_000  # a process that a signal holds sends no heartbeats
+_LOOK_S: Final = 1.0
+_LAST_DATA_RECEIVED: Final = slice(52, 56)  # in Linux's struct tcp_info, in milliseconds
 # Measured: as members of an enum, these take longer to combine than a message takes to send.
 _NOW: Final = int(zmq.NOBLOCK)
 _MORE: Final = int(zmq.NOBLOCK | zmq.SNDMORE)
@@ -88,6 +94,7 @@ class ServerSockets(ClosingContextBase):
         # Events of connections of other machines.
         self._monitor: zmq.Socket[bytes] | None = None
         self._open_fds: set[int] = set()  # descriptors of connections
+        self._looked_s = time.monotonic()
         self._peers: dict[int, Peer] = {}  # the peers that have used these descriptors
         # Connections that are over, as long as messages of theirs may still be in the queue.
         self._ended: set[Peer] = set()
@@ -161,7 +168,21 @@ class ServerSockets(ClosingContextBase):
                 yield IncomingMessage(peer, b"" if last.more else last.bytes, key)
 
     def take_lost(self) -> set[Peer]:
-        """Take the peers on other machines whose connections ended since the last call."""
+        """Take the peers on other machines whose connections ended since the last call.
+
+        That of a process which a signal holds is ended here: the kernel answers for it, but it
+        sends no heartbeats. The server sends none: ZeroMQ 4.3.5 aborts where one is due to a peer
+        that has closed its connection while its messages wait.
+        """
+        now_s = time.monotonic()
+        if now_s - self._looked_s >= _LOOK_S:
+            self._looked_s = now_s
+            for number in self._open_fds:
+                # It may be closed already, or be that of something else.
+                with suppress(OSError), tcp.fromfd(number, tcp.AF_INET, tcp.SOCK_STREAM) as end:
+                    info = end.getsockopt(tcp.IPPROTO_TCP, tcp.TCP_INFO, _LAST_DATA_RECEIVED.stop)
+                    if int.from_bytes(info[_LAST_DATA_RECEIVED], sys.byteorder) > _SILENT_MS:
+                        end.shutdown(tcp.SHUT_RDWR)
         self._note_ends()
         lost, self._lost = self._lost, set()
         return lost
@@ -321,14 +342,9 @@ class _Account:
 def open_connection_monitor(socket: zmq.Socket[bytes], events: int) -> zmq.Socket[bytes]:
     """A socket for `recv_monitor_message`, with the events of another one's connections.
 
-    To be called before that has any connection. It also has heartbeats from now on, so that
-    connections to machines and processes that do not answer end.
+    To be called before that has any connection. From now on the kernel ends those to machines that
+    do not answer.
     """
-    socket.setsockopt(zmq.HEARTBEAT_IVL, 1000)
-    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 1000 * _HEARTBEAT_S)
-    # The kernel ends TCP connections to a machine that is not there any more, but answers for a
-    # process that is stopped. ZeroMQ's heartbeats do not: a thread of the process answers them,
-    # however long it computes.
     socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, 2)
     socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, 1)

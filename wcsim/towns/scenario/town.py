@@ -48,6 +48,7 @@ class Town:
     # Nothing outside of this folder is opened because of it. None: its user trusts it.
     border: Path | None = None
     passing: bool = False  # it is driven once: what is built of it is not cached
+    drafted: bool = False  # wcsim wrote it: no child tries its first steps
 
     @property
     def declared(self) -> bool:
