@@ -348,16 +348,14 @@ class World(ClosingContextBase):
             seat.stand()
         if seats:
             self._open.traffic.look_again(self._places())
-        for seat in seats:
-            self._look_around(seat)
+        self._look_around(seats)
         scenes = self._shoot(seats, out, first=True)
         return tuple(self._seen(seat, scenes[seat.index], first=True) for seat in seats)
 
     def _users_look(self) -> None:
         """All users see what is around now."""
         with self.stopwatch.measure("user"):
-            for seat in self.seats:
-                self._look_around(seat)
+            self._look_around(self.seats)
 
     def _shoot(
         self,
@@ -390,9 +388,19 @@ class World(ClosingContextBase):
             truth = seat.truth(self._others(seat)) if requested else None
         return seat.snapshot(self._tick, sensors, seat.events(self.sumo.teleports, first), truth)
 
-    def _look_around(self, seat: Ego) -> None:
-        """The seat's user sees what is around now."""
-        seat.look(self.sumo.time_s(), self._others(seat), self._open.traffic.signals)
+    def _look_around(self, seats: Sequence[Ego]) -> None:
+        """The users of these seats see what is around now: those whom they could notice."""
+        actors, places_W_m = self._open.traffic.actors, self._places()
+        everyone = (*actors, *(seat.as_actor() for seat in self.seats))
+        at_W_m = np.array([actor.p_W_m[:2] for actor in everyone]).reshape(-1, 2)
+        long_m = np.array([actor.size_lwh_m[0] for actor in everyone])
+        for number, seat in enumerate(self.seats):
+            if seat not in seats:
+                continue
+            away_m = np.hypot(*(at_W_m - places_W_m[number]).T)
+            seen = np.flatnonzero(away_m < seat.user.sight_m + long_m).tolist()
+            others = tuple(everyone[k] for k in seen if k != len(actors) + number)
+            seat.look(self.sumo.time_s(), others, self._open.traffic.signals)
 
     def _check_mirror(self) -> None:
         """Raises PhysicsError when the bodies are not where the actors are."""

@@ -45,6 +45,11 @@ class DetectedObject:
         return math.hypot(self.vx_mps, self.vy_mps) > _CREEP_MPS
 
 
+def farthest_sight_m(profile: UserProfile) -> float:
+    """From how far away a user may know of the middle of anything at all, its length besides."""
+    return _MEMORY_SIGHT * _VEHICLE_SIGHT * profile.see_m
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PerceivedObjects:
     """What the user is aware of now."""

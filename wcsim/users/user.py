@@ -22,7 +22,7 @@ from wcsim.types.chair import AT_REST
 from wcsim.users.avoidance import LateralOffsetPlanner, PredictedChairPose
 from wcsim.users.crossing import CrossingStopPlanner, RouteCrossing, find_route_crossings
 from wcsim.users.hand import StickHandModel, SwitchHandModel, clip_to_disc
-from wcsim.users.perception import PerceivedObjects, UserPerception
+from wcsim.users.perception import PerceivedObjects, UserPerception, farthest_sight_m
 from wcsim.users.profiles import UserProfile
 from wcsim.users.route_line import RoutePolyline
 from wcsim.users.turning import ActiveTurn, AxlePose, TurnPlan, plan_turn
@@ -89,6 +89,7 @@ class User(ABC):
         self.arrived = False
         self.gave_up = False
         self.requests_help = False  # at the last look; it moves no stick
+        self.sight_m = math.inf  # who is farther away is not shown to it
         self.patient = False  # never gives up: another driver drives, and this one knows the way
         self._sticks = sticks
         self._path: RoutePolyline | None = None
@@ -188,6 +189,7 @@ class SimulatedUser(User):
         # A generator for each part: what one part draws does not change what another does.
         attention_rng, hand_rng, self._miss_rng, self._law_rng, self._fear_rng = rng.spawn(5)
         self._perception = UserPerception(profile, attention_rng)
+        self.sight_m = farthest_sight_m(profile)
         self._hand = (
             SwitchHandModel(profile) if profile.discrete else StickHandModel(profile, hand_rng)
         )

@@ -29,7 +29,7 @@ _RASTERS = ("height_cm", "ground_class", "clearance_dm", "edge_cm")  # 0.85 MB e
 _HEIGHTS = _RASTERS[:1]
 _NONE: U8 = np.zeros((0, 0), np.uint8)
 _CACHED = 24  # rasters in memory at any time; a chair and those around it request seven
-_MOST_CACHED = 108
+_MOST_CACHED = 448  # 32 chairs apart unpacked 23 rasters a tick with a fourth of it
 # What was requested since stays, up to _MOST_CACHED. Six chairs request 80 rasters a tick, one 27.
 _RECENT_REQUESTS = 4_000
 _MESH = ("vertices_W_m", "faces", "face_class", "chunk_vertices", "chunk_faces")
