@@ -18,13 +18,13 @@ from wcsim.bridge.reaction.commands import CHAIR, ChairInStreet
 from wcsim.config import WorldConfig
 from wcsim.core.boxes import gap_to_box
 from wcsim.core.processes import drop_stderr_lines
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.making.asked_town import requested_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.towns.street import load_street
 from wcsim.types import ActorState
 
 MODELS = ("striping", "CollisionFreeSpeed", "SocialForce", "GeneralizedCentrifugalForce")
-_TOWNS = (("helsinki", "usual"), ("monaco", "usual"), ("manhattan", "usual"), ("monaco", "jupedsim"))
+_TOWNS = (("helsinki", "usual"), ("monaco", "usual"), ("manhattan", "usual"), ("made:1", "jupedsim"))
 _PAGE = Path(__file__).with_name("validation.md.jinja")
 _CHAIR_MPS, _START_X_M, _GATE_S = 0.8, -16.5, 40.0
 _STANDS_MPS, _NOBODY = 0.1, (math.nan,) * 5
@@ -105,7 +105,7 @@ def _row(actor: ActorState, chair: ChairInStreet, held: bool) -> tuple[float, ..
 
 def _in_town(name: str, street: str, for_s: float) -> Figures:
     """The figures of a town's traffic without a chair; a look a second."""
-    town, figures = find_town(name), StreetFigures(every_s=1.0)
+    town, figures = requested_town(name), StreetFigures(every_s=1.0)
     config = WorldConfig.model_validate({"street": street})
     with ReactionStage(town, load_street(town), config, 1, 240.0) as stage:
         for _ in range(round(for_s)):

@@ -13,6 +13,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.warm_state import state_file
 from wcsim.config.world import JUPEDSIM
 from wcsim.core.files import sha256_from_text
 from wcsim.core.own_folder import create_temporary_folder
@@ -125,7 +126,7 @@ def try_state(town: Town, settings: Settings, scenario: Scenario, warmup_s: floa
     """
     if read_configuration(scenario.sumocfg).value(PEOPLE) == JUPEDSIM:
         return False
-    state = f"{scenario.digest} {version('libsumo')} {_TRIAL_STEPS} {warmup_s!r}"
+    state = f"{state_file(scenario.digest, 1, warmup_s).name} {_TRIAL_STEPS}"
     verdict = cache_folder() / f"state-{sha256_from_text(state)[:32]}.ok"
     with suppress(OSError):
         return verdict.read_bytes() == _LOADS
