@@ -7,6 +7,7 @@ from tests.towns.conftest import WriteScenario, bytes_in
 from tests.towns.made import hostile
 from wcsim.config import WorldConfig
 from wcsim.errors import ConfigError, TownError
+from wcsim.towns.scenario import files
 from wcsim.towns.scenario.options import Treatment, sumo_options
 from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.stage import Scenario, stage_scenario
@@ -245,3 +246,22 @@ def test_a_folder_that_sumo_cannot_write_to_is_refused(write_theirs: WriteScenar
     town = open_town(write_theirs())
     with pytest.raises(TownError, match="SUMO cannot write"):
         stage_scenario(town, SETTINGS, tmp_path / "at 12:30")
+
+
+def test_a_large_file_that_names_no_other_is_looked_through_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until it changes, however little; one that writes is looked through every time."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    scanned = list[str]()
+    whole = files.scan
+    monkeypatch.setattr(files, "scan", lambda data, where, visit: (scanned.append(where), whole(data, where, visit)))
+    path = tmp_path / "large.rou.xml"
+    rest = f"<!-- {'.' * 200_000} -->"
+    for number, inside in enumerate(("", '<flow id="a"/>', '<edgeData id="a" file="b.xml"/>')):
+        path.write_text(f"<routes>{inside}{rest}</routes>", "utf-8")
+        for k in range(2):
+            placed = files.FilteredFiles(tmp_path / f"run-{number}-{k}", None).place(path, path)
+            assert (placed == path) is (number < 2)
+    assert len(scanned) == 1 + 1 + 2
+    assert (tmp_path / "run-2-0" / "inputs" / "large.rou.xml").is_file()

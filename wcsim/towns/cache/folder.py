@@ -28,7 +28,7 @@ _KEY = "[0-9a-f]{32}"
 # For what is unfinished see `files.write_file_atomically`.
 _KINDS = {
     "streets": re.compile(rf"street-{_KEY}\.npz"),
-    "verdicts": re.compile(rf"(scenario|net|state)-{_KEY}\.ok"),
+    "verdicts": re.compile(rf"(scenario|net|state|plain)-{_KEY}\.ok"),
     "states": re.compile(rf"warm-{_KEY}\.xml\.gz"),
     "kernels": re.compile(rf"{KERNELS}/[^/]+/[\w.-]+\.nbi"),
     "code": re.compile(rf"{KERNELS}/[^/]+/[\w.-]+\.(nbc|lock)"),  # of the kernels
@@ -36,7 +36,7 @@ _KINDS = {
         r"drive-scenes/([a-z][a-z-]*-\d+-[0-9a-f]{16}|\.\w{8})|drive-towns/made-\d+"
     ),
     "unfinished": re.compile(
-        rf"street-{_KEY}\.lock|\.(street|scenario|net|state|warm)-{_KEY}\.(npz|ok|xml\.gz)\.\d+-\w+\.tmp"
+        rf"street-{_KEY}\.lock|\.(street|scenario|net|state|plain|warm)-{_KEY}\.(npz|ok|xml\.gz)\.\d+-\w+\.tmp"
     ),
 }
 
@@ -77,9 +77,9 @@ class _CacheFacts:
 
     folder: Path
     streets: int
-    verdicts: int  # on nets and scenarios that were tried
+    verdicts: int  # on nets and scenarios that were tried, and on files that name no other
     states: int  # of warmed traffic
-    kernels: int  # whose machine code is cached here: those of a read-only package
+    kernels: int  # whose machine code is cached here
     driven: int  # scenes and towns that were generated for the driving page
     unfinished: int  # begun and left
     size_bytes: int
