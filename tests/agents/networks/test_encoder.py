@@ -180,11 +180,16 @@ def test_motion_is_learnt_from_a_window(network):
     encoder = ObservationEncoder(space(16, 32, 4), network)
     net = nn.ModuleList([encoder, nn.Linear(encoder.features_dim, 2)])
     optimizer = torch.optim.Adam(net.parameters(), 1e-3)
+    loss = 1.0
     for _ in range(120):
         seen, way = moving(32)
         optimizer.zero_grad()
-        nn.functional.cross_entropy(net[1](encoder(seen)), way).backward()
+        error = nn.functional.cross_entropy(net[1](encoder(seen)), way)
+        error.backward()
         optimizer.step()
+        loss += 0.2 * (float(error.detach()) - loss)
+        if loss < 0.1:
+            break
     seen, way = moving(200)
     with torch.no_grad():
         assert (net[1](encoder(seen)).argmax(dim=1) == way).float().mean() > 0.9
