@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -21,6 +21,7 @@ import wcsim
 from tests.api.streets import BOTH, Counting, action_at, equal
 from wcsim.agents.envs.env_spec import EnvOptions
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
+from wcsim.agents.envs.saving_env import SavingEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.vector_env import StreetVectorEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
@@ -480,3 +481,76 @@ def test_wrong_settings_are_named_before_a_world_is_made():
     with pytest.raises(TownError, match="nowhere"):
         env.reset(seed=1)
     env.close()
+
+
+SAVING = EnvOptions(overrides=("world.warmup_s=2", "env.observation=state"))
+
+
+@pytest.fixture
+def saving(corner: Path) -> Iterator[SavingEnv]:
+    made = SavingEnv(str(corner), **SAVING)
+    yield made
+    made.close()
+
+
+def driven(env: SavingEnv | WheelchairEnv, actions: Sequence[int]) -> list[tuple[bytes, float]]:
+    """What an agent sees and gets for these actions."""
+    steps = (env.step(action) for action in actions)
+    return [(np.asarray(seen).tobytes(), float(reward)) for seen, reward, *_ in steps]
+
+
+def test_a_moment_goes_on_as_it_did_and_as_without_moments(saving: SavingEnv, corner: Path) -> None:
+    saving.reset(seed=4)
+    plain = WheelchairEnv(str(corner), **SAVING)
+    plain.reset(seed=4)
+    before, after = driven(plain, [1] * 5), driven(plain, [1, 2] * 10)
+    plain.close()
+    assert driven(saving, [1] * 5) == before
+    moment = saving.save()
+    other = driven(saving, [3] * 20)
+    assert other != after
+    for _ in range(2):
+        saving.restore(moment)
+        assert driven(saving, [1, 2] * 10) == after
+    saving.restore(moment)
+    assert driven(saving, [3] * 20) == other
+    moment.close()
+
+
+def test_moments_of_moments(saving: SavingEnv) -> None:
+    saving.reset(seed=4)
+    first = saving.save()
+    driven(saving, [1] * 4)
+    second = saving.save()
+    ahead = driven(saving, [1] * 4)
+    saving.restore(first)
+    assert driven(saving, [1] * 8)[4:] == ahead
+    saving.restore(second)
+    assert driven(saving, [1] * 4) == ahead
+    first.close()
+    with pytest.raises(ProtocolError, match="ended"):
+        saving.restore(first)
+    second.close()
+
+
+def test_another_seed_after_a_moment_is_a_world_as_any(saving: SavingEnv) -> None:
+    seen, _ = saving.reset(seed=4)
+    moment = saving.save()
+    saving.reset(seed=5)
+    saving.restore(moment)
+    driven(saving, [1] * 3)
+    again, _ = saving.reset(seed=4)
+    assert np.asarray(again).tobytes() == np.asarray(seen).tobytes()
+    saving.close()
+    saving.restore(moment)  # it outlives its environment
+    driven(saving, [1] * 3)
+    moment.close()
+
+
+def test_one_that_saves_is_an_environment_as_any_and_tells_faults(saving: SavingEnv) -> None:
+    with pytest.raises(ProtocolError, match="reset"):
+        saving.save()
+    check_env(saving, skip_render_check=True)
+    with pytest.raises(BadActionError):
+        saving.step(10_000)
+    driven(saving, [1])

@@ -29,7 +29,7 @@ ROWS: Final = (
         name="wcsim: tokens of code",
         # Eight engineers found 460 lines that were no feature. The rest is text: it falls room by room.
         first=691_761,
-        ceiling=568_401,
+        ceiling=568_414,
         count=measures.tokens,
     ),
     Row(name="wcsim: files", first=790, ceiling=437, count=measures.files),

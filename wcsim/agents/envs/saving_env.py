@@ -36,7 +36,7 @@ class SavedMoment(ClosingContextBase):
     def fork(self) -> Connection:
         """Have a copy of the process that stands there, which serves at the other end."""
         with Listener(family="AF_UNIX") as listener:
-            _ask(self._process, "fork", listener.address)
+            _request(self._process, "fork", listener.address)
             return listener.accept()
 
     def close(self) -> None:
@@ -126,10 +126,10 @@ class SavingEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         return self._now
 
     def _call(self, name: str, *args: object, **named: object) -> object:
-        return _ask(self._at()._process, name, *args, **named)
+        return _request(self._at()._process, name, *args, **named)
 
 
-def _ask(process: Connection, name: str, *args: object, **named: object) -> object:
+def _request(process: Connection, name: str, *args: object, **named: object) -> object:
     """What a method of the environment in that process returns. Raises what it raises."""
     try:
         process.send((name, args, named))
