@@ -36,7 +36,8 @@ def root(x: float) -> float:
 
 def test_processes_that_begin_together_compile_a_kernel_once(tmp_path: Path) -> None:
     (tmp_path / "cold.py").write_text(COLD)
-    words, places = [sys.executable, "-c", CODE], {"PYTHONPATH": str(Path(wcsim.__file__).parents[1])}
+    words = [sys.executable, "-c", CODE]
+    places = {"PYTHONPATH": str(Path(wcsim.__file__).parents[1]), "XDG_CACHE_HOME": str(tmp_path)}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     runs = [subprocess.Popen(words, cwd=tmp_path, text=True, env=places, **pipes) for _ in range(2)]
     for run in runs:  # they have loaded what they need, and are let go together
