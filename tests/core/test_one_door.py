@@ -36,6 +36,7 @@ BESIDE = {
     ),
     "the system says it": (
         "log/fingerprint.py", "log/reader.py", "server/specs.py", "server/host/process.py", "cli/main.py",
+        "bridge/world_copy.py",
     ),
     "a lock or a folder, of which nothing is read": ("log/writer.py", "core/own_folder.py"),
     "the door gave the bytes": (

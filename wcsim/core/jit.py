@@ -5,10 +5,10 @@ file, and the constants that it names. Its own cache notices a change of the ker
 here a copy is named by a digest of the kernel and of all that is frozen into it, taken at the first
 call, when everything has its value.
 
-The copies lie in wcsim's cache folder, so a new checkout or installation finds those of the old
-one; or in `__pycache__` beside the source; where neither can be written, each process compiles for
-itself. The newest few copies of a kernel stay. Of processes that need the same copy at the same
-time one compiles it, and the others wait for a lock beside it.
+The copies lie in `__pycache__` beside the source, or in wcsim's cache folder when the package is
+read-only; where neither can be written, each process compiles for itself. The newest few copies of
+a kernel stay. Of processes that need the same copy at the same time one compiles it, and the others
+wait for a lock beside it.
 """
 
 import hashlib
@@ -40,8 +40,8 @@ R = TypeVar("R")
 
 # A kernel takes seconds to compile; a process that holds its lock longer was stopped.
 LONGEST_WAIT_S: Final = 60.0
-# Of a kernel: who goes to and fro between some states of the code compiles each once.
-MOST_COPIES: Final = 5
+# Of a kernel: who goes to and fro between two states of the code compiles each once.
+MOST_COPIES: Final = 3
 # Rounding must depend on how a loop is vectorised as little as possible: products may be fused.
 _FAST: Final = {"contract", "nsz"}
 _WORD: Final = re.compile(r"\w+")
@@ -77,21 +77,22 @@ def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     return cast("Callable[P, R]", compiled)
 
 
-class _CacheFolderLocator(UserWideCacheLocator):
-    """The place in wcsim's cache: by the module's name, as all checkouts have it."""
+class _UserLocator(UserWideCacheLocator):
+    """The place for a package that cannot be written: in wcsim's cache, which needs no home."""
 
     def __init__(self, py_func: Any, py_file: str) -> None:
         """As numba makes it."""
         super().__init__(py_func, py_file)  # type: ignore[no-untyped-call]
-        self._cache_path = str(find_cache_folder() / KERNELS / py_func.__module__)
+        name: str = self.get_suitable_cache_subpath(py_file)  # type: ignore[no-untyped-call]
+        self._cache_path = str(find_cache_folder() / KERNELS / name)
 
 
 class _Copies(CompileResultCacheImpl):
     """Where copies may lie, the best place first."""
 
     _locator_classes = [  # noqa: RUF012 - numba's own form
-        _CacheFolderLocator,
-        *CompileResultCacheImpl._locator_classes,
+        _UserLocator if kind is UserWideCacheLocator else kind
+        for kind in CompileResultCacheImpl._locator_classes
     ]
 
 

@@ -79,7 +79,7 @@ class _CacheFacts:
     streets: int
     verdicts: int  # on nets and scenarios that were tried, and on files that name no other
     states: int  # of warmed traffic
-    kernels: int  # whose machine code is cached here
+    kernels: int  # whose machine code is cached here: those of a read-only package
     driven: int  # scenes and towns that were generated for the driving page
     unfinished: int  # begun and left
     size_bytes: int
