@@ -1,5 +1,6 @@
 import gzip
 import os
+import re
 import shlex
 import shutil
 from contextlib import redirect_stderr, redirect_stdout
@@ -74,13 +75,23 @@ def test_an_import_that_is_ended_as_soon_as_its_folder_is_made_leaves_none(
     assert not list((tmp_path / "towns").iterdir())
 
 
+def with_lengths(data: bytes) -> tuple[bytes, np.ndarray]:
+    """A net without its numbers of two decimals, and these."""
+    number = re.compile(rb"-?\d+\.\d\d(?!\d)")
+    return number.sub(b"", data), np.array(number.findall(data), np.float64)
+
+
 def test_shipped_net_is_what_its_extract_gives(order: ImportOrder, manhattan_town: Town) -> None:
     osm = manhattan_town.folder / "osm"
     box = Box.of((osm / "bbox").read_text())
     made = import_town(replace(order, map_file=osm / "manhattan.osm.xml.gz", bbox=box, traffic=0.0))
     town = made.town
     assert not any("has no bounds" in note for note in made.notes)
-    assert read_bytes(town.net) == read_bytes(manhattan_town.net)
+    # One coordinate of an inner lane lies amid two hundredths: twice of a hundred times it was rounded the other way.
+    (new, new_m), (old, old_m) = (with_lengths(read_bytes(net)) for net in (town.net, manhattan_town.net))
+    assert new == old
+    apart_m = np.abs(new_m - old_m)
+    assert apart_m.max() < 0.015 and (apart_m > 0.0).sum() <= 2
     assert town.poly is not None and manhattan_town.poly is not None
     assert read_bytes(town.poly) == read_bytes(manhattan_town.poly)
 
