@@ -16,6 +16,7 @@ from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.towns.street import load_street
+from wcsim.towns.sumo.xml_io import read_root, xml_bytes
 from wcsim.types import Street
 
 ISLAND = {
@@ -74,3 +75,17 @@ def test_a_walk_off_the_connected_area_kills_sumo_and_is_refused_first(
     broken, _ = build_scene(island, tmp_path / "broken")
     with ExitStack() as held, pytest.raises(TownError, match=r"people walk by JuPedSim .*expected pedestrian\.model"):
         open_scenario(broken, Settings(world=CONFIG, seed=1), RunPlace(), held)
+
+
+def test_ground_without_width_is_widened_before_sumo_dies_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    thin, _ = build_scene(find_scene("pedestrian-crossing"), tmp_path / "thin")
+    root = read_root(thin.net)
+    areas = root.findall("edge[@function='walkingarea']/lane")
+    first, last, *_ = areas[0].attrib["shape"].split()
+    areas[0].set("shape", f"{first} {last} {first}")  # as netconvert writes it where streets are cut
+    thin.net.write_bytes(xml_bytes(root))
+    with ExitStack() as held:
+        open_scenario(thin, Settings(world=CONFIG, seed=1), RunPlace(), held)

@@ -97,8 +97,8 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
         if run.died and by_jupedsim:
             raise TownError(
                 f"{town.sumocfg}: SUMO crashes here when people walk by JuPedSim ({run.reason()}); "
-                "known causes: a walk that leaves the one connected area of pavements, "
-                "a walking area without width; expected pedestrian.model striping, "
+                "known cause: a walk that leaves the one connected area of pavements; "
+                "expected pedestrian.model striping, "
                 "which is world.street=usual where the scenario says nothing"
             )
         culprit = _culprit(town, staged, settings) if run.returncode else town.sumocfg
