@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from shapely import LineString
-
 from wcsim.config import RunConfig
 from wcsim.config.world import JUPEDSIM
 from wcsim.core.own_folder import create_temporary_folder
@@ -32,8 +30,9 @@ from wcsim.towns.scenario.overrides import (
     overrides_of,
 )
 from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.thin_ground import widen_ground
 from wcsim.towns.sumo.warning_log import ERROR_LOG
-from wcsim.towns.sumo.xml_io import is_true, read_root, xml_bytes
+from wcsim.towns.sumo.xml_io import is_true, read_root
 
 # Matches the name of an output, what fcd-output writes, and its leader distance, if SUMO dies when
 # it writes that as parquet: it does so as soon as two elements differ.
@@ -42,7 +41,6 @@ _UNEVEN = (
     r"save-state\.(prefix|files)) "
     r"|fcd-output (.*\b(all|stage|vehicle)\b|.* [0.]*[1-9])"
 )
-_THIN_M = 0.05  # half of the width of ground that has none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,8 +93,9 @@ def stage_scenario(
 
     # 2. Gather the options with their values, which leads their files into the folder.
     set_here = dict(forced(settings, config.scale)) | _implied_outputs(config, names)
+    people = set_here.get(PEOPLE) or config.value(PEOPLE)
     options = [
-        (item.option, _value(item, config, names, files))
+        (item.option, _value(item, config, names, files, people))
         for item in config.given
         if item.value
         and item.option.treatment is not Treatment.DROP
@@ -106,27 +105,7 @@ def stage_scenario(
     options += [(sumo_options()[name], value) for name, value in set_here.items()]
     _refuse_uneven_parquet(options, config)
 
-    # 3. Give ground of two points a width: SUMO 1.28 dies of it when it joins the ground for
-    #    JuPedSim. netconvert makes such walking areas and junctions at the ends of some streets.
-    if (sumo_options()[PEOPLE], JUPEDSIM) in options:
-        net = config.path.parent / (config.value("net-file") or "")
-        net_root = read_root(files.place(net, config.path))
-        areas = net_root.iterfind("edge[@function='walkingarea']/lane")
-        for item in [*areas, *net_root.iterfind("junction")]:
-            ends = [end.split(",") for end in dict.fromkeys(item.get("shape", "").split())]
-            if len(ends) == 2:
-                line = LineString([(float(end[0]), float(end[1])) for end in ends])
-                outline = line.buffer(_THIN_M, cap_style="flat").exterior.coords[:-1]
-                points = (",".join([f"{x:.2f}", f"{y:.2f}", *ends[0][2:]]) for x, y in outline)
-                item.set("shape", " ".join(points))
-        wide = names.folder / names.unique("wide.net.xml")
-        wide.write_bytes(xml_bytes(net_root))
-        options = [
-            (option, _quoted(wide) if option.name == "net-file" else value)
-            for option, value in options
-        ]
-
-    # 4. Write the configuration.
+    # 3. Write the configuration.
     root = ElementTree.Element("sumoConfiguration")
     for option, value in options:
         topic = root.find(option.topic)
@@ -137,7 +116,7 @@ def stage_scenario(
     sumocfg = names.folder / town.sumocfg.name
     sumocfg.write_text(text, encoding="utf-8")
 
-    # 5. Report what was changed.
+    # 4. Report what was changed.
     moved = [
         (option.name, value.replace(f"{names.folder}/", "sumo/"))
         for option, value in options
@@ -189,7 +168,11 @@ def _notes_of(config: Configuration) -> tuple[str, ...]:
 
 
 def _value(
-    item: GivenOption, config: Configuration, names: OutputNames, files: FilteredFiles
+    item: GivenOption,
+    config: Configuration,
+    names: OutputNames,
+    files: FilteredFiles,
+    people: str | None,
 ) -> str:
     """The value that an option has in the filtered copy."""
     folder = config.path.parent
@@ -200,7 +183,11 @@ def _value(
             part if part in NOWHERE else str(names.place(part, folder, instead)) for part in written
         )
     if item.option.treatment is Treatment.INPUT:
-        read = (files.place_option(item.option, p, config.path) for p in item.files(folder))
+        read = [files.place_option(item.option, p, config.path) for p in item.files(folder)]
+        if item.option.name == "net-file" and people == JUPEDSIM:
+            wide = names.folder / names.unique("wide.net.xml")
+            wide.write_bytes(widen_ground(read_root(read[0])))
+            return _quoted(wide)
         return ",".join(map(_quoted, read))
     return item.value
 
