@@ -26,6 +26,7 @@ def cache(tmp_path, monkeypatch) -> Path:
     (place / f"street-{KEY}.npz").write_bytes(b"x" * 3_000_000)
     (place / f"net-{KEY}.ok").write_text("ok\n")
     (place / f"warm-{KEY}.xml.gz").write_bytes(b"x" * 5)
+    (place / f"rows-{KEY}.json").write_bytes(b"x" * 5)
     for name in (OLD, NEW):
         (place / name).mkdir()
         (place / name / "part").write_text("12345")
@@ -50,13 +51,16 @@ def cache(tmp_path, monkeypatch) -> Path:
 def test_the_cache_says_where_it_is_and_what_it_holds(wcsim, cache):
     result = wcsim("cache", "--json", "c.json")
     assert (result.code, result.err) == (0, "")
-    assert f"{cache}: 1 street, 1 checked net or scenario, 1 state of warmed traffic, 1 kernel" in result.out
+    assert (
+        f"{cache}: 1 street, 1 checked net or scenario, 1 state of warmed traffic, 1 block of tests, 1 kernel"
+        in result.out
+    )
     assert "2 generated places to drive" in result.out
     assert "1 unfinished, 3.0 MB" in result.out
     assert "wcsim cache --clear" in result.out
     assert parsed("c.json") == {
-        **{"folder": str(cache), "streets": 1, "verdicts": 1, "states": 1, "kernels": 1, "driven": 2},
-        **{"unfinished": 1, "size_bytes": 3_000_033, "left_bytes": 3_000_033},
+        **{"folder": str(cache), "streets": 1, "verdicts": 1, "rows": 1, "states": 1, "kernels": 1, "driven": 2},
+        **{"unfinished": 1, "size_bytes": 3_000_038, "left_bytes": 3_000_038},
     }
 
 
@@ -67,7 +71,16 @@ def test_clearing_removes_what_is_ours_and_nothing_else(wcsim, cache, tmp_path):
     gone = before - {str(path.relative_to(cache)) for path in cache.rglob("*")}
     code = {f"{KERNELS}/core_0123/boxes.f-0123.py311.{end}" for end in ("nbi", "1.nbc")}
     driven = {f"{place}{file}" for place in DRIVEN for file in ("", "/sumo", "/sumo/net.xml")}
-    assert gone == {f"street-{KEY}.npz", f"net-{KEY}.ok", f"warm-{KEY}.xml.gz", OLD, f"{OLD}/part", *code, *driven}
+    assert gone == {
+        f"street-{KEY}.npz",
+        f"net-{KEY}.ok",
+        f"warm-{KEY}.xml.gz",
+        f"rows-{KEY}.json",
+        OLD,
+        f"{OLD}/part",
+        *code,
+        *driven,
+    }
     assert (tmp_path / "elsewhere").read_text() == "irreplaceable"
     assert parsed("c.json")["left_bytes"] == 0
     assert "removed 0.0 MB" in wcsim("cache", "--clear").out

@@ -89,6 +89,17 @@ def test_a_policy_that_fails_at_once_leaves_no_half_video(corner_town, tmp_path,
     assert not world_in_this_process()
 
 
+def test_a_picture_shows_each_camera_the_front_one_first(corner_town):
+    both = FilmDriver(settings=('env.camera=["front","rear"]',))
+    shots = []
+    for driver in (FilmDriver(), both):
+        with FilmedDrive(corner_town, 0, 80, driver) as film:
+            shots.append(film.shot(0.0).picture)
+    front, rows = shots
+    assert rows.shape == (2 * len(front), *front.shape[1:])
+    assert (rows[: len(front)] == front).all() and (rows[len(front) :] != front).any()
+
+
 @pytest.mark.parametrize("size, span_m", [(360, 60.0), (900, 60.0), (480, 30.0)])
 def test_the_bar_of_the_scale_is_ten_metres_long(size, span_m):
     ground = np.full((size, size, 3), 200, np.uint8)

@@ -177,7 +177,8 @@ def run_cache(words: list[str]) -> int:
     checked = pluralize(before.verdicts, "checked net or scenario", "checked nets and scenarios")
     content = (
         f"{pluralize(before.streets, 'street')}, {checked}, {pluralize(before.states, 'state')} of "
-        f"warmed traffic, {pluralize(before.kernels, 'kernel')}, "
+        f"warmed traffic, {pluralize(before.rows, 'block')} of tests, "
+        f"{pluralize(before.kernels, 'kernel')}, "
         f"{pluralize(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
     )
     print(f"{escape(before.folder)}: {content}, {before.size_bytes / 1e6:.1f} MB")

@@ -137,7 +137,8 @@ class FilmedDrive:
         self._driver: AgentSeatDriver | None = None
         self._info = Info()
         config, spec, self._policy = _senses(driver, seed, width)
-        self.camera, self.tick_s = config.cameras[-1], config.world.tick_s
+        self._index = 0 if self._policy is None else -1  # of the film's camera
+        self.camera, self.tick_s = config.cameras[self._index], config.world.tick_s
         self._ticks = 0
         with ExitStack() as held:
             self.world = held.enter_context(World(town, config, (spec,), seed, find_user=find_user))
@@ -177,10 +178,15 @@ class FilmedDrive:
         return self._write(picture)
 
     def shot(self, after_s: float) -> Shot:
-        """What the camera sees now, so long after the beginning."""
-        frame = self._frame()
+        """What the camera sees now, so long after the beginning; below it others that draw colours in its size."""
+        size = self._colours().shape
+        rows = [
+            _triptych(each.rgb, each.class_id, each.depth_m)
+            for each in self.world.snapshot.clients[0].sensors.cameras
+            if each.rgb is not None and each.rgb.shape == size
+        ]
         return Shot(
-            picture=_triptych(self._colours(), frame.class_id, frame.depth_m),
+            picture=np.vstack(rows),
             after_s=after_s,
             in_view=self._in_view(self.world.snapshot),
         )
@@ -208,7 +214,7 @@ class FilmedDrive:
         self._held.__exit__(*error)  # of a film that fails nothing is left
 
     def _frame(self) -> CameraFrame:
-        return self.world.snapshot.clients[0].sensors.cameras[-1]
+        return self.world.snapshot.clients[0].sensors.cameras[self._index]
 
     def _colours(self) -> U8:
         rgb = self._frame().rgb
@@ -219,7 +225,7 @@ class FilmedDrive:
     def _in_view(self, snapshot: Snapshot) -> int:
         """Actors within reach, inside the camera's horizontal field of view, and not behind something nearer."""
         plant = snapshot.clients[0].plant
-        frame = snapshot.clients[0].sensors.cameras[-1]
+        frame = self._frame()
         half = np.tan(deg2rad(self.camera.hfov_deg) / 2)
         ahead = np.array([np.cos(plant.yaw_rad), np.sin(plant.yaw_rad)])
         right = np.array([ahead[1], -ahead[0]])
@@ -237,7 +243,7 @@ class FilmedDrive:
 
 
 def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatSpec, Policy | None]:
-    """The world's settings, whose last camera is the film's; who sits in it, and the policy, if any."""
+    """The world's settings; who sits in it; the policy, if any: then the film has a camera of its own, the last."""
     camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
     if not driver.policy:
         config = RunConfig(cameras=(camera,), world=WorldConfig(mirror_radius_m=SIGHT_M))

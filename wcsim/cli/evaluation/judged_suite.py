@@ -235,6 +235,7 @@ def make_suite_order(
         settings=options.set,
         network=options.network,
         forks=suite.file.forks if forks is None else forks,
+        shared=True,
     )
 
 

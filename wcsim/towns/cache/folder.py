@@ -29,6 +29,7 @@ _KEY = "[0-9a-f]{32}"
 _KINDS = {
     "streets": re.compile(rf"street-{_KEY}\.npz"),
     "verdicts": re.compile(rf"(scenario|net|state|plain)-{_KEY}\.ok"),
+    "rows": re.compile(rf"rows-{_KEY}\.json"),
     "states": re.compile(rf"warm-{_KEY}\.xml\.gz"),
     "kernels": re.compile(rf"{KERNELS}/[^/]+/[\w.-]+\.nbi"),
     "code": re.compile(rf"{KERNELS}/[^/]+/[\w.-]+\.(nbc|lock)"),  # of the kernels
@@ -36,7 +37,7 @@ _KINDS = {
         r"drive-scenes/([a-z][a-z-]*-\d+-[0-9a-f]{16}|\.\w{8})|drive-towns/made-\d+"
     ),
     "unfinished": re.compile(
-        rf"street-{_KEY}\.lock|\.(street|scenario|net|state|plain|warm)-{_KEY}\.(npz|ok|xml\.gz)\.\d+-\w+\.tmp"
+        rf"street-{_KEY}\.lock|\.(street|scenario|net|state|plain|warm|rows)-{_KEY}\.(npz|ok|xml\.gz|json)\.\d+-\w+\.tmp"
     ),
 }
 
@@ -78,6 +79,7 @@ class _CacheFacts:
     folder: Path
     streets: int
     verdicts: int  # on nets and scenarios that were tried, and on files that name no other
+    rows: int  # of the user alone in blocks of lists, for other tests of them
     states: int  # of warmed traffic
     kernels: int  # whose machine code is cached here: those of a read-only package
     driven: int  # scenes and towns that were generated for the driving page
@@ -93,6 +95,7 @@ def cache_facts() -> _CacheFacts:
         folder=cache_folder(),
         streets=number["streets"],
         verdicts=number["verdicts"],
+        rows=number["rows"],
         states=number["states"],
         kernels=number["kernels"],
         driven=number["driven"],
