@@ -24,7 +24,7 @@ from wcsim.towns.street import load_street
 from wcsim.types import ActorState
 
 MODELS = ("striping", "CollisionFreeSpeed", "SocialForce", "GeneralizedCentrifugalForce")
-_TOWNS = (("helsinki", "usual"), ("monaco", "usual"), ("manhattan", "usual"), ("monaco", "jupedsim"))
+_TOWNS = (("helsinki", "usual"), ("monaco", "usual"), ("manhattan", "usual"), ("made:1", "jupedsim"))
 _PAGE = Path(__file__).with_name("validation.md.jinja")
 _CHAIR_MPS, _START_X_M, _GATE_S = 0.8, -16.5, 40.0
 _STANDS_MPS, _NOBODY = 0.1, (math.nan,) * 5

@@ -73,11 +73,13 @@ def test_it_learns_with_other_seeds_and_more_time(seed, tmp_path):
     assert learned.kpi1 <= 0.85
 
 
-# The paper's preset in 12x16 pixels: seeds 1 to 3 of fig6 need 4400 to 5000 steps, 40 processor seconds on a busy core.
-OTHERS = [pytest.param(*each, marks=pytest.mark.proof) for each in (("fig6", 2), ("conv3d", 1), ("convlstm", 1))]
+# The paper's preset in 12x16 pixels: seeds 1 to 3 of fig6 need 4400 to 5000 steps, patch half of its time.
+OTHERS = [
+    pytest.param(*each, marks=pytest.mark.proof) for each in (("fig6", 1), ("fig6", 2), ("conv3d", 1), ("convlstm", 1))
+]
 
 
-@pytest.mark.parametrize("network, seed", [("fig6", 1), *OTHERS])
+@pytest.mark.parametrize("network, seed", [("patch", 1), *OTHERS])
 def test_the_first_phase_of_the_paper_comes_below_its_limit(network, seed, tmp_path):
     learn = {"network": network, "total_steps": 5500, "phase1_steps": 5500, "replay_frames": 5000}
     paper = resolve("paper", {"learn": learn, "cameras": [toy_camera(12, 16).model_dump()]})
