@@ -65,7 +65,7 @@ def tiny(wcsim, imported) -> Path:
     words = ("--bbox", TINY_BBOX, "--name", "tiny", "--split", "test", "--out", "towns/tiny")
     made = wcsim("town", "import", "--osm", "tiny.osm.gz", *words)
     assert made.code == 0
-    assert [line.split()[0] for line in made.err.splitlines()] == STAGES
+    assert [line.split()[0] for line in made.err.splitlines() if " after " not in line] == STAGES
     assert "sumo-gui -c towns/tiny/tiny.sumocfg" in made.out
     shutil.copytree(town, imported)
     return town
