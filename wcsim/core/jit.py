@@ -5,10 +5,10 @@ file, and the constants that it names. Its own cache notices a change of the ker
 here a copy is named by a digest of the kernel and of all that is frozen into it, taken at the first
 call, when everything has its value.
 
-The copies lie in `__pycache__` beside the source, and in wcsim's cache folder, where a new checkout
-or installation finds them; where neither can be written, each process compiles for itself. The
-newest few copies of a kernel stay. Of processes that need the same copy at the same time one
-compiles it, and the others wait for a lock beside it.
+The copies lie in `__pycache__` beside the source, or in wcsim's cache folder when the package is
+read-only; where neither can be written, each process compiles for itself. The newest few copies of
+a kernel stay. Of processes that need the same copy at the same time one compiles it, and the others
+wait for a lock beside it.
 """
 
 import hashlib
@@ -107,7 +107,7 @@ class _FrozenCache(FunctionCache):
         self._compiled = compiled
         # Without the kernel's line, which may move.
         self._stem = self._impl.filename_base.rpartition("-")[0]
-        self._indices: dict[Path, Any] = {}  # by their folders, see `_places`
+        self._is_named = False
         # A caller's lock is taken before those of its callees, never the other way: so no two
         # processes wait for each other.
         self._lock = FileLock(Path(self._cache_path) / f"{self._stem}.lock")
@@ -118,23 +118,21 @@ class _FrozenCache(FunctionCache):
 
         Then it holds the lock until it has.
         """
-        found = self._load(sig, target_context)
+        self._name_file()
+        found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         if found is None and self._acquire_lock():
             # Another process may have compiled it meanwhile.
-            found = self._load(sig, target_context)
+            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
             if found is not None:
                 self._lock.release(force=True)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the machine code for a signature, and remove old copies."""
+        self._name_file()
         try:
-            for folder, index in self._places().items():
-                self._cache_file = index
-                with suppress(OSError):  # the other place may be writable
-                    folder.mkdir(parents=True, exist_ok=True)
-                    super().save_overload(sig, data)  # type: ignore[no-untyped-call]
-                    _remove_old_copies(folder, self._stem)
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+            _remove_old_copies(Path(self._cache_path), self._stem)
         finally:
             self._lock.release(force=True)
 
@@ -151,29 +149,13 @@ class _FrozenCache(FunctionCache):
             return False
         return True
 
-    def _load(self, sig: Any, target_context: Any) -> Any:
-        for index in self._places().values():
-            self._cache_file = index
-            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-            if found is not None:
-                return found
-        return None
-
-    def _places(self) -> dict[Path, Any]:
-        """Folders with their index of this kernel: beside its source, and for all checkouts.
-
-        It is named by the kernel's digest, at its first call.
-        """
-        if not self._indices:
+    def _name_file(self) -> None:
+        """Name this kernel's copy by its digest, at its first call."""
+        if not self._is_named:
             digest = _frozen_digest(self._compiled)
             name = f"{self._stem}-{digest[:24]}.py{sys.version_info[0]}{sys.version_info[1]}"
-            cache, own = find_cache_folder(), Path(self._cache_path)
-            shared = cache / KERNELS / self._compiled.py_func.__module__
-            self._indices = {
-                folder: IndexDataCacheFile(str(folder), name, digest)  # type: ignore[no-untyped-call]
-                for folder in ((shared,) if own.is_relative_to(cache) else (own, shared))
-            }
-        return self._indices
+            self._cache_file = IndexDataCacheFile(self._cache_path, name, digest)  # type: ignore[no-untyped-call]
+            self._is_named = True
 
 
 def _remove_old_copies(folder: Path, stem: str) -> None:

@@ -1,8 +1,7 @@
 """Ground of a net that has no width: netconvert makes walking areas and junctions of two points."""
 
+from math import dist
 from xml.etree.ElementTree import Element
-
-from shapely import LineString
 
 from wcsim.towns.sumo.xml_io import xml_bytes
 
@@ -17,10 +16,21 @@ def widen_ground(root: Element) -> bytes:
     """
     areas = root.iterfind("edge[@function='walkingarea']/lane")
     for item in [*areas, *root.iterfind("junction")]:
-        ends = [end.split(",") for end in dict.fromkeys(item.get("shape", "").split())]
-        if len(ends) == 2:
-            line = LineString([(float(end[0]), float(end[1])) for end in ends])
-            outline = line.buffer(_HALF_M, cap_style="flat").exterior.coords[:-1]
-            points = (",".join([f"{x:.2f}", f"{y:.2f}", *ends[0][2:]]) for x, y in outline)
+        ends = [end.split(",") for end in item.get("shape", "").split()]
+        try:
+            places = {(float(end[0]), float(end[1])): end[2:] for end in ends}
+        except (IndexError, ValueError):  # SUMO says what is wrong with it
+            continue
+        if len(places) == 2:
+            ((x, y), height), ((x2, y2), _) = places.items()
+            side = _HALF_M / dist((x, y), (x2, y2))
+            east_m, north_m = side * (y2 - y), side * (x - x2)
+            corners = (
+                (x + east_m, y + north_m),
+                (x2 + east_m, y2 + north_m),
+                (x2 - east_m, y2 - north_m),
+                (x - east_m, y - north_m),
+            )
+            points = (",".join([f"{u:.2f}", f"{v:.2f}", *height]) for u, v in corners)
             item.set("shape", " ".join(points))
     return xml_bytes(root)
