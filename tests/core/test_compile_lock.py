@@ -50,6 +50,7 @@ def test_processes_that_begin_together_compile_a_kernel_once(tmp_path: Path) -> 
 
 def test_a_process_that_was_stopped_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jit, "LONGEST_WAIT_S", 0.05)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     copy = compile_exact_kernel(root)
     copy._cache._lock = FileLock(tmp_path / "k.lock")  # type: ignore[attr-defined]
     copy._cache._cache_path = str(tmp_path)  # type: ignore[attr-defined]
@@ -57,7 +58,8 @@ def test_a_process_that_was_stopped_is_not_waited_for(tmp_path: Path, monkeypatc
         assert copy(4.0) == 2.0
 
 
-def test_without_a_place_for_a_lock_it_is_compiled(tmp_path: Path) -> None:
+def test_without_a_place_for_a_lock_it_is_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     (tmp_path / "file").write_text("no folder")
     copy = compile_exact_kernel(root)
     copy._cache._lock = FileLock(tmp_path / "file" / "k.lock")  # type: ignore[attr-defined]

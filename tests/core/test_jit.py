@@ -3,6 +3,7 @@
 import importlib
 import json
 import math
+import os
 import subprocess
 import sys
 from enum import IntEnum
@@ -61,7 +62,7 @@ def test_a_caller_follows_the_kernels_and_constants_of_other_files(tmp_path: Pat
 
     def answers() -> list[object]:
         words = [sys.executable, "-B", "-c", CODE]  # a .pyc does not notice two edits within a second
-        places = {"PYTHONPATH": str(ROOT.parent)}
+        places = {"PYTHONPATH": str(ROOT.parent), "XDG_CACHE_HOME": str(tmp_path / "cache")}
         run = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True, env=places)
         return json.loads(run.stdout)
 
@@ -149,13 +150,27 @@ def test_what_can_be_no_constant_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
 def test_old_copies_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for factor in range(6):
         monkeypatch.setattr(sys.modules[__name__], "FACTOR", float(factor))
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
         copy = compile_exact_kernel(inner.py_func)
         copy._cache._cache_path = str(tmp_path)
         monkeypatch.setattr(copy._cache._impl.locator, "_cache_path", str(tmp_path))
         assert copy(1.0) == factor + 2.0
-    indices, codes = sorted(tmp_path.glob("*.nbi")), sorted(tmp_path.glob("*.nbc"))
-    assert len(indices) == len(codes) == jit.MOST_COPIES and len(list(tmp_path.iterdir())) == 2 * jit.MOST_COPIES
-    assert {path.name.split(".1.")[0] for path in codes} == {path.stem for path in indices}
+    for place in (tmp_path, tmp_path / "cache" / "wcsim" / KERNELS / __name__):
+        indices, codes = sorted(place.glob("*.nbi")), sorted(place.glob("*.nbc"))
+        assert len(indices) == len(codes) == jit.MOST_COPIES
+        assert {path.name.split(".1.")[0] for path in codes} == {path.stem for path in indices}
+
+
+def test_another_checkout_finds_the_copies_of_the_first_and_keeps_them_without_the_cache(tmp_path: Path) -> None:
+    hits = []
+    for checkout, cache in (("one", "cache"), ("two", "cache"), ("two", "another"), ("three", "another")):
+        (tmp_path / checkout / "own").mkdir(parents=True, exist_ok=True)
+        for name, text in OWN.items():
+            (tmp_path / checkout / "own" / f"{name}.py").write_text(text)
+        env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / cache)}
+        told = subprocess.check_output([sys.executable, "-c", CODE], cwd=tmp_path / checkout, env=env)
+        hits.append(json.loads(told)[-1])
+    assert hits == [[0, 0], [1, 1], [1, 1], [0, 0]]
 
 
 FORKED = """
@@ -175,7 +190,8 @@ def test_a_forked_copy_of_a_process_compiles_what_nobody_has_compiled_yet(tmp_pa
         "from wcsim.core.jit import compile_exact_kernel\n\n\n@compile_exact_kernel\ndef plus(x):\n    return x + 1.0\n"
     )
     (tmp_path / "cold.py").write_text(cold)
-    done = subprocess.run([sys.executable, "-c", FORKED], cwd=tmp_path, capture_output=True, text=True)
+    env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", FORKED], cwd=tmp_path, env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 
@@ -192,6 +208,8 @@ def test_a_package_that_cannot_be_written_has_its_copies_in_the_users_cache(
 
     monkeypatch.setattr(numba.core.caching.InTreeCacheLocator, "ensure_cache_path", refused)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    # As after a map was read in this process: that place is for others' kernels.
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "others"))
     hits = []
     for _ in range(2):
         copy = compile_exact_kernel(inner.py_func)

@@ -5,10 +5,10 @@ file, and the constants that it names. Its own cache notices a change of the ker
 here a copy is named by a digest of the kernel and of all that is frozen into it, taken at the first
 call, when everything has its value.
 
-The copies lie in `__pycache__` beside the source, or in wcsim's cache folder when the package is
-read-only; where neither can be written, each process compiles for itself. The newest few copies of
-a kernel stay. Of processes that need the same copy at the same time one compiles it, and the others
-wait for a lock beside it.
+The copies lie in `__pycache__` beside the source, and in wcsim's cache folder, where another
+checkout or installation finds them; where neither can be written, each process compiles for itself.
+The newest few copies of a kernel stay. Of processes that need the same copy at the same time one
+compiles it, and the others wait for a lock beside it.
 """
 
 import hashlib
@@ -29,6 +29,7 @@ from numba.core.caching import (
     CompileResultCacheImpl,
     FunctionCache,
     IndexDataCacheFile,
+    UserProvidedCacheLocator,
     UserWideCacheLocator,
 )
 from numba.extending import is_jitted
@@ -83,16 +84,16 @@ class _UserLocator(UserWideCacheLocator):
     def __init__(self, py_func: Any, py_file: str) -> None:
         """As numba makes it."""
         super().__init__(py_func, py_file)  # type: ignore[no-untyped-call]
-        name: str = self.get_suitable_cache_subpath(py_file)  # type: ignore[no-untyped-call]
-        self._cache_path = str(find_cache_folder() / KERNELS / name)
+        self._cache_path = str(find_cache_folder() / KERNELS / py_func.__module__)
 
 
 class _Copies(CompileResultCacheImpl):
-    """Where copies may lie, the best place first."""
+    """Where copies may lie, the best place first; what `cache_other_kernels` sets is for others."""
 
     _locator_classes = [  # noqa: RUF012 - numba's own form
         _UserLocator if kind is UserWideCacheLocator else kind
         for kind in CompileResultCacheImpl._locator_classes
+        if kind is not UserProvidedCacheLocator
     ]
 
 
@@ -107,7 +108,10 @@ class _FrozenCache(FunctionCache):
         self._compiled = compiled
         # Without the kernel's line, which may move.
         self._stem = self._impl.filename_base.rpartition("-")[0]
-        self._is_named = False
+        # For all checkouts, known from the first call on.
+        self._shared_folder: Path | None = None
+        self._cache_file: Any
+        self._shared: Any
         # A caller's lock is taken before those of its callees, never the other way: so no two
         # processes wait for each other.
         self._lock = FileLock(Path(self._cache_path) / f"{self._stem}.lock")
@@ -121,7 +125,11 @@ class _FrozenCache(FunctionCache):
         self._name_file()
         found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         if found is None and self._acquire_lock():
-            # Another process may have compiled it meanwhile.
+            # Another process may have compiled it meanwhile, or another checkout before.
+            key = self._index_key(sig, target_context.codegen())  # type: ignore[no-untyped-call]
+            data = None if self._cache_file.load(key) else self._shared.load(key)
+            if data is not None:
+                self._cache_file.save(key, data)
             found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
             if found is not None:
                 self._lock.release(force=True)
@@ -133,8 +141,21 @@ class _FrozenCache(FunctionCache):
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
             _remove_old_copies(Path(self._cache_path), self._stem)
+            self._share(self._index_key(sig, data.codegen))  # type: ignore[no-untyped-call]
         finally:
             self._lock.release(force=True)
+
+    def _share(self, key: object) -> None:
+        """Store the copy for other checkouts too, where their place can be written."""
+        folder = self._shared_folder
+        if folder is None or folder == Path(self._cache_path):
+            return
+        with suppress(OSError, Timeout, NotImplementedError):
+            folder.mkdir(parents=True, exist_ok=True)
+            # Two writers of one index would give two signatures the same file.
+            with FileLock(folder / f"{self._stem}.lock", timeout=1.0):
+                self._shared.save(key, self._cache_file.load(key))
+                _remove_old_copies(folder, self._stem)
 
     def _acquire_lock(self) -> bool:
         """Wait for the lock; False where there is none: then each process compiles for itself."""
@@ -151,11 +172,15 @@ class _FrozenCache(FunctionCache):
 
     def _name_file(self) -> None:
         """Name this kernel's copy by its digest, at its first call."""
-        if not self._is_named:
+        if self._shared_folder is None:
             digest = _frozen_digest(self._compiled)
             name = f"{self._stem}-{digest[:24]}.py{sys.version_info[0]}{sys.version_info[1]}"
-            self._cache_file = IndexDataCacheFile(self._cache_path, name, digest)  # type: ignore[no-untyped-call]
-            self._is_named = True
+            shared = find_cache_folder() / KERNELS / self._compiled.py_func.__module__
+            self._cache_file, self._shared = (
+                IndexDataCacheFile(str(folder), name, digest)  # type: ignore[no-untyped-call]
+                for folder in (self._cache_path, shared)
+            )
+            self._shared_folder = shared
 
 
 def _remove_old_copies(folder: Path, stem: str) -> None:
