@@ -13,6 +13,7 @@ from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.config import WorldConfig
 from wcsim.errors import TownError
 from wcsim.towns.scenario.overrides import Settings
+from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.towns.street import load_street
@@ -77,15 +78,19 @@ def test_a_walk_off_the_connected_area_kills_sumo_and_is_refused_first(
         open_scenario(broken, Settings(world=CONFIG, seed=1), RunPlace(), held)
 
 
+@pytest.mark.parametrize("ground", ["edge[@function='walkingarea']/lane", "junction"])
 def test_ground_without_width_is_widened_before_sumo_dies_of_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ground: str
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     thin, _ = build_scene(find_scene("pedestrian-crossing"), tmp_path / "thin")
     root = read_root(thin.net)
-    areas = root.findall("edge[@function='walkingarea']/lane")
+    areas = root.findall(ground)
     first, last, *_ = areas[0].attrib["shape"].split()
     areas[0].set("shape", f"{first} {last} {first}")  # as netconvert writes it where streets are cut
     thin.net.write_bytes(xml_bytes(root))
     with ExitStack() as held:
         open_scenario(thin, Settings(world=CONFIG, seed=1), RunPlace(), held)
+    for world, is_widened in ((CONFIG, True), (WorldConfig(), False)):
+        rows = {row.option: row for row in scenario_overrides(thin, Settings(world=world, seed=1))}
+        assert ("net-file" in rows) == is_widened

@@ -29,7 +29,8 @@ from wcsim.core.reading import PROFILE, SETTINGS, escape, is_file
 from wcsim.errors import ConfigError, PolicyError, check_installed
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.rewards import make_reward_term
-from wcsim.towns.scenario.overrides import Override, Settings, scenario_overrides
+from wcsim.towns.scenario.overrides import Override, Settings
+from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
 from wcsim.users.profiles import find_profile
 
@@ -214,5 +215,5 @@ def format_test_command(run: Path, network: str, trained_in: Collection[str] = (
 def list_sumo_overrides(town: Town, config: RunConfig, seed: int) -> tuple[Override, ...]:
     """What a run overrides of a town's own SUMO options."""
     return scenario_overrides(
-        town.sumocfg, Settings(world=config.world, seed=seeding.derive_seed(seed, "sumo"))
+        town, Settings(world=config.world, seed=seeding.derive_seed(seed, "sumo"))
     )

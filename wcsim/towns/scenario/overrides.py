@@ -2,16 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import NamedTuple
 
 from wcsim.config import WorldConfig
 from wcsim.config.world import JUPEDSIM
 from wcsim.core.reading import read_module_toml
-from wcsim.towns.scenario.options import Configuration, Treatment, read_configuration, sumo_options
+from wcsim.towns.scenario.options import Configuration, Treatment, sumo_options
 from wcsim.towns.sumo.xml_io import is_true
 
 STEP, _ACTION_STEP = "step-length", "default.action-step-length"
+NET = "net-file"
 PEOPLE = "pedestrian.model"
 JUMPING = "nonInteracting"
 """Of the models of pedestrians, the one whose people have no way between two streets."""
@@ -69,14 +69,6 @@ def forced(settings: Settings, author_scale: float = 1.0) -> tuple[tuple[str, st
     if world.street == JUPEDSIM:
         set_here.append((PEOPLE, JUPEDSIM))
     return (*set_here, *_FIXED)
-
-
-def scenario_overrides(sumocfg: Path, settings: Settings) -> tuple[Override, ...]:
-    """What a world overrides of a scenario, without staging it; see `stage_scenario`."""
-    config = read_configuration(sumocfg)
-    writes = [item for item in config.given if item.option.treatment is Treatment.OUTPUT]
-    outputs = [(item.option.name, f"sumo/{Path(item.value).name}") for item in writes]
-    return overrides_of(config, settings, outputs)
 
 
 def overrides_of(

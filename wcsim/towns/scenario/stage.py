@@ -23,7 +23,9 @@ from wcsim.towns.scenario.options import (
 from wcsim.towns.scenario.overrides import (
     AGGREGATED,
     JUMPING,
+    NET,
     PEOPLE,
+    WHY,
     Override,
     Settings,
     forced,
@@ -84,6 +86,7 @@ def stage_scenario(
     files = FilteredFiles(folder.absolute(), town.border)
     names = files.names
     names.unique(town.sumocfg.name)
+    wide = names.folder / names.unique("wide.net.xml")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -95,7 +98,7 @@ def stage_scenario(
     set_here = dict(forced(settings, config.scale)) | _implied_outputs(config, names)
     people = set_here.get(PEOPLE) or config.value(PEOPLE)
     options = [
-        (item.option, _value(item, config, names, files, people))
+        (item.option, _value(item, config, names, files, wide if people == JUPEDSIM else None))
         for item in config.given
         if item.value
         and item.option.treatment is not Treatment.DROP
@@ -116,15 +119,20 @@ def stage_scenario(
     sumocfg = names.folder / town.sumocfg.name
     sumocfg.write_text(text, encoding="utf-8")
 
-    # 4. Report what was changed.
+    # 4. List what was changed.
     moved = [
         (option.name, value.replace(f"{names.folder}/", "sumo/"))
         for option, value in options
         if option.treatment is Treatment.OUTPUT and config.value(option.name) is not None
     ]
+    overrides = overrides_of(config, settings, moved)
+    if wide.is_file():
+        net = config.value(NET) or ""
+        row = Override(option=NET, author=net, wcsim=f"sumo/{wide.name}", why=WHY[NET])
+        overrides = (*overrides, row)
     return Scenario(
         sumocfg=sumocfg,
-        overrides=overrides_of(config, settings, moved),
+        overrides=overrides,
         notes=_notes_of(config),
         outputs=names.paths,
         warnings=next((value for option, value in options if option.name == ERROR_LOG), ""),
@@ -133,6 +141,12 @@ def stage_scenario(
         digest=_digest(text, settings, names.folder, files),
         inputs=tuple(files.read),
     )
+
+
+def scenario_overrides(town: Town, settings: Settings) -> tuple[Override, ...]:
+    """What a world overrides of a town's scenario; raises as `stage_scenario`."""
+    with create_temporary_folder() as folder:
+        return stage_scenario(town, settings, folder).overrides
 
 
 def files_of(town: Town, config: RunConfig) -> tuple[Path, ...]:
@@ -172,9 +186,9 @@ def _value(
     config: Configuration,
     names: OutputNames,
     files: FilteredFiles,
-    people: str | None,
+    wide: Path | None,
 ) -> str:
-    """The value that an option has in the filtered copy."""
+    """The value that an option has in the filtered copy; `wide` is where a widened net may lie."""
     folder = config.path.parent
     if item.option.treatment is Treatment.OUTPUT:
         instead = f"{item.option.name}.xml"
@@ -184,9 +198,8 @@ def _value(
         )
     if item.option.treatment is Treatment.INPUT:
         read = [files.place_option(item.option, p, config.path) for p in item.files(folder)]
-        if item.option.name == "net-file" and people == JUPEDSIM:
-            wide = names.folder / names.unique("wide.net.xml")
-            wide.write_bytes(widen_ground(read_root(read[0])))
+        if item.option.name == NET and wide and (net := widen_ground(read_root(read[0]))):
+            wide.write_bytes(net)
             return _quoted(wide)
         return ",".join(map(_quoted, read))
     return item.value

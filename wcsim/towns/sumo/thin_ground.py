@@ -8,12 +8,13 @@ from wcsim.towns.sumo.xml_io import xml_bytes
 _HALF_M = 0.05  # of the width that it gets
 
 
-def widen_ground(root: Element) -> bytes:
-    """The net of `root`, which is changed, with a little width where its ground has none.
+def widen_ground(root: Element) -> bytes | None:
+    """The net of `root` with a little width where its ground has none; None where all has some.
 
-    At the ends of some streets there is such ground. SUMO 1.28 dies of it when it joins the
-    ground for JuPedSim.
+    `root` is changed. At the ends of some streets there is such ground. SUMO 1.28 dies of it when
+    it joins the ground for JuPedSim.
     """
+    is_changed = False
     areas = root.iterfind("edge[@function='walkingarea']/lane")
     for item in [*areas, *root.iterfind("junction")]:
         ends = [end.split(",") for end in item.get("shape", "").split()]
@@ -33,4 +34,5 @@ def widen_ground(root: Element) -> bytes:
             )
             points = (",".join([f"{u:.2f}", f"{v:.2f}", *height]) for u, v in corners)
             item.set("shape", " ".join(points))
-    return xml_bytes(root)
+            is_changed = True
+    return xml_bytes(root) if is_changed else None
