@@ -72,14 +72,14 @@ def forced(settings: Settings, author_scale: float = 1.0) -> tuple[tuple[str, st
 
 
 def overrides_of(
-    config: Configuration, settings: Settings, outputs: Sequence[tuple[str, str]]
+    config: Configuration, settings: Settings, moved: Sequence[tuple[str, str]]
 ) -> tuple[Override, ...]:
     """The rows for one scenario: what is not as its author wrote it, or as SUMO does it.
 
     Args:
         config: The author's configuration.
         settings: What the world decides.
-        outputs: Options of the author that write files, each with the value it gets.
+        moved: Options of the author whose files lie elsewhere, each with the value it gets.
     """
     # 1. What a world sets.
     rows = _forced_rows(config, settings)
@@ -87,9 +87,9 @@ def overrides_of(
     def add(option: str, author: str | None, value: str, why: str) -> None:
         rows.append(Override(option=option, author=author or "", wcsim=value, why=why))
 
-    # 2. What the author writes.
-    for name, value in outputs:
-        add(name, config.value(name), value, WHY["outputs"])
+    # 2. What the author writes, and the net where its copy is another one.
+    for name, value in moved:
+        add(name, config.value(name), value, WHY[NET if name == NET else "outputs"])
     aggregated = config.value(AGGREGATED)
     if config.value("elechybrid-output") and not _same(aggregated or "false", "true"):
         add(AGGREGATED, aggregated, "true", WHY[AGGREGATED])

@@ -25,7 +25,6 @@ from wcsim.towns.scenario.overrides import (
     JUMPING,
     NET,
     PEOPLE,
-    WHY,
     Override,
     Settings,
     forced,
@@ -43,6 +42,7 @@ _UNEVEN = (
     r"save-state\.(prefix|files)) "
     r"|fcd-output (.*\b(all|stage|vehicle)\b|.* [0.]*[1-9])"
 )
+_WIDE = "wide.net.xml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +86,7 @@ def stage_scenario(
     files = FilteredFiles(folder.absolute(), town.border)
     names = files.names
     names.unique(town.sumocfg.name)
-    wide = names.folder / names.unique("wide.net.xml")
+    wide = names.folder / names.unique(_WIDE)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -98,7 +98,7 @@ def stage_scenario(
     set_here = dict(forced(settings, config.scale)) | _implied_outputs(config, names)
     people = set_here.get(PEOPLE) or config.value(PEOPLE)
     options = [
-        (item.option, _value(item, config, names, files, wide if people == JUPEDSIM else None))
+        (item.option, _value(item, config, names, files, people))
         for item in config.given
         if item.value
         and item.option.treatment is not Treatment.DROP
@@ -123,16 +123,12 @@ def stage_scenario(
     moved = [
         (option.name, value.replace(f"{names.folder}/", "sumo/"))
         for option, value in options
-        if option.treatment is Treatment.OUTPUT and config.value(option.name) is not None
+        if option.treatment is Treatment.OUTPUT or value == _quoted(wide)
+        if config.value(option.name) is not None
     ]
-    overrides = overrides_of(config, settings, moved)
-    if wide.is_file():
-        net = config.value(NET) or ""
-        row = Override(option=NET, author=net, wcsim=f"sumo/{wide.name}", why=WHY[NET])
-        overrides = (*overrides, row)
     return Scenario(
         sumocfg=sumocfg,
-        overrides=overrides,
+        overrides=overrides_of(config, settings, moved),
         notes=_notes_of(config),
         outputs=names.paths,
         warnings=next((value for option, value in options if option.name == ERROR_LOG), ""),
@@ -186,9 +182,9 @@ def _value(
     config: Configuration,
     names: OutputNames,
     files: FilteredFiles,
-    wide: Path | None,
+    people: str | None,
 ) -> str:
-    """The value that an option has in the filtered copy; `wide` is where a widened net may lie."""
+    """The value that an option has in the filtered copy."""
     folder = config.path.parent
     if item.option.treatment is Treatment.OUTPUT:
         instead = f"{item.option.name}.xml"
@@ -198,9 +194,12 @@ def _value(
         )
     if item.option.treatment is Treatment.INPUT:
         read = [files.place_option(item.option, p, config.path) for p in item.files(folder)]
-        if item.option.name == NET and wide and (net := widen_ground(read_root(read[0]))):
-            wide.write_bytes(net)
-            return _quoted(wide)
+        if item.option.name == NET and people == JUPEDSIM:
+            net = widen_ground(read_root(read[0]))
+            if net is not None:
+                wide = names.folder / _WIDE
+                wide.write_bytes(net)
+                return _quoted(wide)
         return ",".join(map(_quoted, read))
     return item.value
 
