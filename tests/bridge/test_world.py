@@ -1,5 +1,6 @@
 import ast
 import inspect
+import math
 import shutil
 import textwrap
 from pathlib import Path
@@ -41,6 +42,47 @@ def test_equal_seeds_give_equal_worlds_and_others_do_not(corner):
 def test_a_second_world_in_the_process_is_refused_with_its_cure(corner):
     with open_world(corner), pytest.raises(WorldInUseError, match="process"):
         open_world(corner)
+
+
+def _rolls(world: World) -> list[int]:
+    """The seats whose chairs went through the last tick without the engine."""
+    return sorted(world._planes)
+
+
+def test_chairs_that_roll_are_where_they_would_be_and_equal_seeds_give_equal_worlds(corner):
+    places, shares = [], []
+    for rolling in ("true", "true", "false"):
+        with open_world(corner, f"world.rolling={rolling}", seats=3, seed=3) as world:
+            rolled, steps = 0, hashes(world, 1)
+            for _ in range(60):
+                steps += hashes(world, 1)
+                rolled += len(_rolls(world))
+                if len(steps) == 21:
+                    places.append([seat.plant.p_WB_m[:2] for seat in world.seats])
+            shares.append(rolled / 180)
+            places[-1] = (places[-1], steps)
+    (one, first), (_, second), (other, _) = places
+    assert first == second and shares[0] == shares[1] > 0.5 and shares[2] == 0.0
+    assert np.abs(np.subtract(one, other)).max() < 0.05
+
+
+def test_who_has_somebody_in_reach_is_in_the_engine(corner):
+    with open_world(corner, "world.rolling=true", seats=2, seed=3) as world:
+        follow(world)
+        assert 0 in _rolls(world)
+        plant = world.seats[0].plant
+        ahead = np.array([math.cos(plant.yaw_rad), math.sin(plant.yaw_rad)])
+        world.put_chair(1, plant.p_WB_m[:2] + 2.5 * ahead, plant.yaw_rad)
+        follow(world)
+        assert _rolls(world) == []
+        bodies = [world._open.engine.bullet.getBasePositionAndOrientation(s.chair.body_id)[0] for s in world.seats]
+        assert min(z for _, _, z in bodies) > -1.0
+
+
+def test_a_copy_of_a_world_that_rolls_goes_on_as_the_world_does(corner):
+    with open_world(corner, "world.rolling=true", "world.draw_threads=1", seats=2, seed=3) as world:
+        hashes(world, 15)
+        assert in_copy(world, lambda copy: " ".join(hashes(copy, 20)).encode()).decode().split() == hashes(world, 20)
 
 
 def _rim_m(actor, x_m, y_m):

@@ -26,6 +26,7 @@ from wcsim.bridge.sumo.session import (
     sumo_seed,
 )
 from wcsim.config import RunConfig
+from wcsim.core.boxes import box_from_actor, boxes_touch
 from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
@@ -33,6 +34,7 @@ from wcsim.physics.engine import StreetBodies
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
+from wcsim.physics.wheelchair.rolling import Plane
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
@@ -107,6 +109,7 @@ class World(ClosingContextBase):
         self._epoch: Epoch | None = None
         self._tick = 0
         self._bodied: tuple[ActorState, ...] = ()  # who has a body in the engine in this tick
+        self._planes: dict[int, Plane] = {}  # by seat, of the chairs that roll in this tick
         self._blind = False
         self._held = ExitStack()
         try:
@@ -264,6 +267,11 @@ class World(ClosingContextBase):
             traffic.move(near, places_W_m)
             tick_s = self.config.world.tick_s
             self._bodied = mirror.in_reach(traffic.actors, places_W_m, tick_s)
+            if self.config.world.rolling:
+                self._planes = self._find_planes()
+                for seat in self._engine_seats():
+                    seat.chair.stop_rolling()
+                self._bodied = mirror.in_reach(traffic.actors, self._places(in_engine=True), tick_s)
             self._choose_step()
             self._open.bodies.place(mirror.moves(traffic.before, self._bodied, tick_s))
         self._load_tiles(places_W_m)
@@ -275,11 +283,17 @@ class World(ClosingContextBase):
             for seat, command in zip(self.seats, commands, strict=True):
                 seat.command(command.joystick)
             # All chairs before each step and all after it: none depends on another's same step.
-            for _ in range(round(self.config.world.tick_s / engine.step_s)):
-                for seat in self.seats:
+            steps = round(self.config.world.tick_s / engine.step_s)
+            for seat in self.seats:
+                plane = self._planes.get(seat.index)
+                if plane is not None:
+                    seat.chair.roll(seat.chair.rolled(plane, steps))
+            driven = self._engine_seats()
+            for _ in range(steps if driven else 0):
+                for seat in driven:
                     seat.chair.before_step()
                 engine.step()
-                for seat in self.seats:
+                for seat in driven:
                     seat.chair.after_step()
 
     def _sense(self, out: ImageSink | None) -> Snapshot:
@@ -304,11 +318,31 @@ class World(ClosingContextBase):
         self.snapshot = self._published(tuple(replace(c, first=first.get(c.seat)) for c in clients))
         return self.snapshot
 
+    def _find_planes(self) -> dict[int, Plane]:
+        """What chairs stand on that need no engine in this tick: nothing is in reach of them."""
+        traffic, tick_s = self._open.traffic, self.config.world.tick_s
+        reaches = {seat.index: seat.reach() for seat in self.seats}
+        boxes = {index: box_from_actor(reach) for index, reach in reaches.items()}
+        planes = {}
+        for seat in self.seats:
+            reach, box = reaches[seat.index], boxes.pop(seat.index)
+            crowded = any(boxes_touch(*box, *other) for other in boxes.values())
+            boxes[seat.index] = box
+            plane = None if crowded else seat.plane(reach)
+            if plane and not meets_body([reach], traffic.before, self._bodied, tick_s):
+                planes[seat.index] = plane
+        return planes
+
+    def _engine_seats(self) -> list[Ego]:
+        """The seats whose chairs are in the engine in this tick."""
+        return [seat for seat in self.seats if seat.index not in self._planes]
+
     def _choose_step(self) -> None:
         """Set fine physics steps for a tick in which a wheel meets a kerb, or somebody a chair."""
         world, engine, traffic = self.config.world, self._open.engine, self._open.traffic
-        chairs = [seat.as_actor() for seat in self.seats]
-        fine = any(seat.meets_edge() for seat in self.seats)
+        seats = self._engine_seats()
+        chairs = [seat.as_actor() for seat in seats]
+        fine = any(seat.meets_edge() for seat in seats)
         fine = fine or meets_body(chairs, traffic.before, self._bodied, world.tick_s)
         step_s = world.tick_s / (world.finest_substeps if fine else world.usual_substeps)
         if step_s != engine.step_s:
@@ -322,6 +356,7 @@ class World(ClosingContextBase):
         self._tick = 0
         if self._epoch is not None:
             self._epoch.engine.close()
+        self._planes = {}
         self._epoch = Epoch(self.config, self.street.grid, self.sumo, seed)
         self._rig.begin(seed)
         self._seating.build(self._epoch.engine, self._rig, seed)
@@ -410,9 +445,10 @@ class World(ClosingContextBase):
     def _load_tiles(self, places_W_m: F64) -> None:
         self._loader.load(places_W_m, self._open.street, self.stopwatch)
 
-    def _places(self) -> F64:
-        """Where the chairs are, (n, 2)."""
-        return np.array([seat.plant.p_WB_m[:2] for seat in self.seats]).reshape(-1, 2)
+    def _places(self, in_engine: bool = False) -> F64:
+        """Where the chairs are, (n, 2); only those `in_engine` in this tick."""
+        seats = self._engine_seats() if in_engine else self.seats
+        return np.array([seat.plant.p_WB_m[:2] for seat in seats]).reshape(-1, 2)
 
     def _others(self, seat: Ego) -> tuple[ActorState, ...]:
         """Everything that moves around a seat, the other wheelchairs among it."""

@@ -20,10 +20,10 @@ from wcsim.chair_check.row import (
     FASTEST_HZ,
     SLOWEST_HZ,
     TICK_S,
-    RateComparison,
+    RowComparison,
     TrialResult,
     TrialSetup,
-    compare_rates,
+    compare_rows,
 )
 from wcsim.cli.shared.common import (
     AllowedSettingKeys,
@@ -83,6 +83,8 @@ class _CheckOptions:
     """Only rows whose names start with one of these words, separated by commas."""
     compare_hz: str = ""
     """Physics rates to compare instead, such as 120,240,480."""
+    compare_rolling: Flag = False
+    """Compare a chair in the engine with one that rolls without it where it can (world.rolling)."""
     workers: Annotated[int, Bounds(1, 64)] = _WORKERS
     """Processes that share the work."""
     pictures: OutFolder = None
@@ -141,7 +143,9 @@ def _check(options: _CheckOptions) -> int:
         fast = list_too_fast_trials(setups[plant], split_comma_list(options.rows))
         if fast:
             print(f"note: {plant} is too slow for {', '.join(fast)}: left out", file=sys.stderr)
-    return _compare_rates(setups, options) if options.compare_hz else _judge(setups, options)
+    if options.compare_hz or options.compare_rolling:
+        return _compare(setups, options)
+    return _judge(setups, options)
 
 
 def _setup(plant: str, hz: int, settings: Sequence[str] = ()) -> TrialSetup:
@@ -171,15 +175,20 @@ def _judge(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
     return 1 if any(row.red for rows in found.values() for row in rows) else 0
 
 
-def _compare_rates(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
-    """Measure all rows of each plant at several rates and print how they change."""
-    rates = _rates(options.compare_hz)
+def _compare(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
+    """Measure all rows of each plant several times and print how they change."""
+    rates = _rates(options.compare_hz) if options.compare_hz else [options.hz]
+    columns: dict[str, dict[str, Any]] = {f"{hz} Hz": {"hz": hz} for hz in rates}
+    if options.compare_rolling:
+        columns["rolling"] = {"hz": rates[0], "rolling": True}
     found = {
-        plant: compare_rates({hz: _measure(plant, replace(setup, hz=hz), options) for hz in rates})
+        plant: compare_rows(
+            [_measure(plant, replace(setup, **changed), options) for changed in columns.values()]
+        )
         for plant, setup in setups.items()
     }
     for plant, rows in found.items():
-        stdout_console().print(_compared_table(plant, rates, rows))
+        stdout_console().print(_compared_table(plant, list(columns), rows))
     plain = {plant: {"rows": [asdict(row) for row in rows]} for plant, rows in found.items()}
     write_json(options.json, {"hz": rates, "plants": plain})
     return 0 if all(row.ok for rows in found.values() for row in rows) else 1
@@ -229,10 +238,10 @@ def _judged_table(plant: str, rows: Sequence[TrialResult]) -> Table:
     return out
 
 
-def _compared_table(plant: str, rates: Sequence[int], rows: Sequence[RateComparison]) -> Table:
+def _compared_table(plant: str, columns: Sequence[str], rows: Sequence[RowComparison]) -> Table:
     out = _table(f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows change little")
-    for rate in rates:
-        out.add_column(f"{rate} Hz", justify="right")
+    for column in columns:
+        out.add_column(column, justify="right")
     out.add_column("change", justify="right")
     out.add_column("")
     for row in rows:
