@@ -263,7 +263,10 @@ class _ServerLoop:
     def _receive(self, incoming: IncomingMessage) -> None:
         # 1. A peer that sends too much is refused, and in the end not answered any more.
         peer = incoming.peer
-        is_admitted = self._peers.admit(peer, self._clock.now_s, self._present_peers)
+        everyone = self._core.roster.everyone
+        is_admitted = self._peers.admit(
+            peer, self._clock.now_s, lambda: {p.peer for p in everyone()}
+        )
         if is_admitted is None:
             return
         if not is_admitted:
@@ -304,9 +307,6 @@ class _ServerLoop:
         """The sessions that joined first through these connections."""
         everyone = self._core.roster.everyone()
         return [p.session for p in everyone if self._first_peers.get(p.session) in peers]
-
-    def _present_peers(self) -> set[Peer]:
-        return {p.peer for p in self._core.roster.everyone()}
 
     def _feed(self, event: Event) -> None:
         """Have the host handle an event, and send the replies."""
