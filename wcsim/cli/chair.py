@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from rich import box
-from rich.table import Column, Table
+from rich.table import Column
 from tyro.conf import Positional, arg
 
 from wcsim.chair_check.row import (
     FASTEST_HZ,
     SLOWEST_HZ,
     TICK_S,
-    RowComparison,
     TrialResult,
     TrialSetup,
     compare_rows,
@@ -40,7 +39,7 @@ from wcsim.cli.shared.common import (
     write_json,
     write_result_atomically,
 )
-from wcsim.cli.shared.consoles import show_table, stderr_console, stdout_console
+from wcsim.cli.shared.consoles import show_table, stderr_console
 from wcsim.config import ChairConfig, RunConfig, parse, resolve
 from wcsim.config.plant import PlantFile, find_plant_path, read_plant
 from wcsim.core.processes import run_in_process_pool
@@ -159,7 +158,7 @@ def _judge(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
     found = {plant: _measure(plant, setup, options) for plant, setup in setups.items()}
     plain: dict[str, Any] = {}
     for plant, rows in found.items():
-        stdout_console().print(_judged_table(plant, rows))
+        _show_judged(plant, rows)
         for row in rows:
             if row.note:
                 print(f"{row.name}: {row.note}")
@@ -188,7 +187,13 @@ def _compare(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
         for plant, setup in setups.items()
     }
     for plant, rows in found.items():
-        stdout_console().print(_compared_table(plant, list(columns), rows))
+        lines = []
+        for row in rows:
+            values = (f"{value:.4g}" for value in row.values)
+            verdict = "" if row.ok else "[bold red]RED[/]"
+            lines.append((row.name, *values, f"{row.change:.1%}", verdict))
+        title = f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows change little"
+        _show_rows(title, (*columns, "change"), ("",), lines)
     plain = {plant: {"rows": [asdict(row) for row in rows]} for plant, rows in found.items()}
     write_json(options.json, {"hz": rates, "plants": plain})
     return 0 if all(row.ok for rows in found.values() for row in rows) else 1
@@ -221,38 +226,28 @@ def _rates(text: str) -> list[int]:
     return rates
 
 
-def _judged_table(plant: str, rows: Sequence[TrialResult]) -> Table:
+def _show_judged(plant: str, rows: Sequence[TrialResult]) -> None:
     judged = [row for row in rows if row.judged]
-    out = _table(f"{plant}: {sum(row.ok for row in judged)} of {len(judged)} rows as expected")
-    for heading in ("value", "low", "high"):
-        out.add_column(heading, justify="right")
-    for heading in ("unit", "bound by", ""):
-        out.add_column(heading)
+    lines = []
     for row in rows:
         if row.ok:
             verdict = "" if row.judged else "not judged"
         else:
             verdict = "[bold red]RED[/]" if row.red else "other"
         numbers = (f"{number:.4g}" for number in (row.value, row.low, row.high))
-        out.add_row(row.name, *numbers, row.unit, row.bound, verdict)
-    return out
+        lines.append((row.name, *numbers, row.unit, row.bound, verdict))
+    title = f"{plant}: {sum(row.ok for row in judged)} of {len(judged)} rows as expected"
+    _show_rows(title, ("value", "low", "high"), ("unit", "bound by", ""), lines)
 
 
-def _compared_table(plant: str, columns: Sequence[str], rows: Sequence[RowComparison]) -> Table:
-    out = _table(f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows change little")
-    for column in columns:
-        out.add_column(column, justify="right")
-    out.add_column("change", justify="right")
-    out.add_column("")
-    for row in rows:
-        values = (f"{value:.4g}" for value in row.values)
-        out.add_row(row.name, *values, f"{row.change:.1%}", "" if row.ok else "[bold red]RED[/]")
-    return out
-
-
-def _table(title: str) -> Table:
-    return Table(
-        Column("row", overflow="fold"),
+def _show_rows(
+    title: str, numbers: Sequence[str], texts: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
+    """Print rows with their names: columns of numbers, then columns of texts."""
+    right = (Column(heading, justify="right") for heading in numbers)
+    show_table(
+        (Column("row", overflow="fold"), *right, *texts),
+        rows,
         title=title,
         title_justify="left",
         box=box.SIMPLE_HEAD,
