@@ -325,10 +325,13 @@ class DriveServer:
         app.router.add_get("/socket", self._meet, allow_head=False)
         app.router.add_get("/{name:.*}", self._page)
         app.on_shutdown.append(self._audience.close)
+        # What a request breaks is a line, as whoever finds the address could fill a terminal.
+        logger = logging.getLogger("wcsim.drive.aiohttp")
+        logger.addFilter(_in_a_line)
         runner = web.AppRunner(
             app,
             access_log=None,
-            logger=_logger(),
+            logger=logger,
             keepalive_timeout=_END_S,  # counts from the beginning: who connects and asks nothing is gone after it
             shutdown_timeout=_SOON_S,
             auto_decompress=False,  # of bodies, which nobody reads
@@ -485,13 +488,6 @@ class _Request(web.Request):
 
     async def _prepare_hook(self, response: web.StreamResponse) -> None:
         response.headers.popall("Server", None)
-
-
-def _logger() -> logging.Logger:
-    """Of aiohttp: what a request breaks there is a line, as whoever finds the address could fill a terminal."""
-    logger = logging.getLogger("wcsim.drive.aiohttp")
-    logger.addFilter(_in_a_line)
-    return logger
 
 
 def _in_a_line(record: logging.LogRecord) -> bool:
