@@ -65,7 +65,7 @@ def make_buildings(
         area = body.area.difference(shapely.union_all(before).buffer(0.02)) if before else body.area
         body = replace(body, area=_areas(area))
         taken.append(body.area)
-        near = patches.near(_around(body.area, 1.0))
+        near = patches.near(_around(body.area))
         gap = buffered(near, GAP_M, join_style="mitre", mitre_limit=2.0)
         parts = [part for part in _cleared(body.area.difference(gap)) if not part.intersects(near)]
         standing += [Building(outline=part, height_m=body.height_m) for part in parts]
@@ -73,7 +73,7 @@ def make_buildings(
 
     # 3. What starts on an upper floor starts higher up where it reaches over the street.
     for body in raised:
-        above = _widened(patches.near(_around(body.area, 1.0)))
+        above = _widened(patches.near(_around(body.area)))
         beside, over = body.area.difference(above), body.area.intersection(above)
         for area, low_m in ((beside, body.rise_m), (over, max(body.rise_m, PASSAGE_M))):
             if body.height_m > low_m + 0.3:
@@ -223,9 +223,10 @@ def _areas(geometry: BaseGeometry) -> BaseGeometry:
     return polygons[0] if len(polygons) == 1 else MultiPolygon(polygons)
 
 
-def _around(area: BaseGeometry, margin_m: float) -> tuple[float, float, float, float]:
+def _around(area: BaseGeometry) -> tuple[float, float, float, float]:
+    """Bounds with a metre around them."""
     x0, y0, x1, y1 = area.bounds if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
-    return x0 - margin_m, y0 - margin_m, x1 + margin_m, y1 + margin_m
+    return x0 - 1.0, y0 - 1.0, x1 + 1.0, y1 + 1.0
 
 
 def _height_m(item: Item, area_m2: float) -> float:

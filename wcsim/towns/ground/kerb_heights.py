@@ -8,7 +8,7 @@ import shapely
 import shapely.affinity
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane_geometry import Patches, buffered
+from wcsim.towns.ground.plane_geometry import Patches, buffered, left_of, units
 from wcsim.towns.ground.surfaces import GRID_M, Surfaces
 from wcsim.types import F64
 
@@ -141,10 +141,8 @@ def _along(mark: KerbMark, kerb: BaseGeometry) -> BaseGeometry:
         shapely.get_coordinates(shapely.line_interpolate_point(line, at_m + step))
         for step in (-0.1, 0.1)
     )
-    along = (ahead - here) / np.maximum(np.linalg.norm(ahead - here, axis=1, keepdims=True), 1e-9)
-    rays = shapely.linestrings(
-        np.stack([here, here + _ACROSS_M * np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
-    )
+    there = here + _ACROSS_M * left_of(units(ahead - here))
+    rays = shapely.linestrings(np.stack([here, there], axis=1))
     hits = shapely.intersection(rays, kerb)
     # A ray that meets nothing has no such point.
     first = shapely.get_point(shapely.shortest_line(hits, shapely.points(here)), 0)

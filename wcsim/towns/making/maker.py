@@ -21,7 +21,7 @@ from wcsim.core.frames import deg2rad
 from wcsim.core.reading import read_module_toml
 from wcsim.core.seeding import derive_seed, make_rng
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.ground.plane_geometry import length_of, yaw_of
+from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.towns.importing.demand import build_ways, vtypes_text, write_demand
 from wcsim.towns.importing.elevation import Dem, Heights, lift_net
 from wcsim.towns.importing.folder_texts import (
@@ -322,13 +322,9 @@ def _chains(plan: StreetPlan) -> list[tuple[int, ...]]:
     """Links grouped to streets: at each junction the straightest pairs go on, best first."""
     same = networkx.Graph()
     same.add_nodes_from(range(len(plan.lines_m)))
-    arms: dict[int, list[tuple[int, float]]] = {}
-    for number, ((a, b), line) in enumerate(zip(plan.links, plan.lines_m, strict=True)):
-        for node, way in ((a, line[1] - line[0]), (b, line[-2] - line[-1])):
-            arms.setdefault(node, []).append((number, yaw_of(way)))
-    for node in sorted(arms):
+    for _, arms in sorted(plan.arms(plan.lines_m).items()):
         pairs = []
-        for (first, first_rad), (second, second_rad) in itertools.combinations(arms[node], 2):
+        for (first, first_rad), (second, second_rad) in itertools.combinations(arms, 2):
             angle_rad = abs((first_rad - second_rad + np.pi) % (2.0 * np.pi) - np.pi)
             pairs.append((abs(angle_rad - np.pi), first, second))
         used: set[int] = set()
