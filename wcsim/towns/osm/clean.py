@@ -170,8 +170,11 @@ def cut_bridges(root: Element, keep_service: bool = False) -> tuple[str, ...]:
             cuts.setdefault(upper, set()).update(part)
     # 2. Take them out. Railways are not named, for no trains run.
     _remove_segments(root, [(ways[number], removed) for number, removed in sorted(cuts.items())])
-    named = (ways[number] for number in cuts if not ways[number].train)
-    return tuple(sorted({_name_or_kind(way.element) for way in named}))
+    names = set()
+    for tags in (_read_tags(ways[number].element) for number in cuts if not ways[number].train):
+        kind = tags.get("highway") or tags.get("railway")
+        names.add(tags.get("name") or tags.get("ref") or f"a {kind} without a name")
+    return tuple(sorted(names))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -258,7 +261,10 @@ def map_ways(root: Element, box: Box) -> tuple[_MapWay, ...]:
         tags = _read_tags(item)
         highway = tags.get("highway")
         street = highway in _TAGS["streets"] and not _is_hidden(tags) and tags.get("area") != "yes"
-        if not street and not _is_footway(tags):
+        foot = tags.get("foot")
+        is_shared = highway == "cycleway" and foot in ("yes", "designated")
+        is_footway = is_shared or (highway in _TAGS["footways"] and foot != "no")
+        if not street and not is_footway:
             continue
         # 2. Its line; of an area of several ways their outlines.
         refs = [item.get("id", "")] if item.tag == "way" else _outlines(item, tags)
@@ -521,12 +527,6 @@ def _remove_segments(root: Element, cuts: list[tuple[_Way, set[int]]]) -> None:
             root.insert(place + number, piece)
 
 
-def _name_or_kind(way: Element) -> str:
-    tags = _read_tags(way)
-    kind = tags.get("highway") or tags.get("railway")
-    return tags.get("name") or tags.get("ref") or f"a {kind} without a name"
-
-
 def _places(root: Element) -> dict[str, tuple[float, float]]:
     """Longitude and latitude of each node of an extract."""
     return {
@@ -538,13 +538,6 @@ def _places(root: Element) -> dict[str, tuple[float, float]]:
 def _footway_text(way: _MapWay) -> str:
     name = " ".join(filter(None, (way.id, way.name)))
     return f"{name} ({way.inside_m:.0f} m{', ' * bool(way.why)}{way.why})"
-
-
-def _is_footway(tags: dict[str, str]) -> bool:
-    """Whether it is a way for walkers, or for cyclists and walkers."""
-    highway, foot = tags.get("highway"), tags.get("foot")
-    is_shared = highway == "cycleway" and foot in ("yes", "designated")
-    return is_shared or (highway in _TAGS["footways"] and foot != "no")
 
 
 def _outlines(relation: Element, tags: dict[str, str]) -> list[str]:
