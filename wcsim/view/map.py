@@ -120,23 +120,19 @@ def street_video(path: Path, world: World, span_m: float) -> Iterator[Callable[[
     with open_video(path, world.config.world.tick_s) as write:
 
         def add(picture: U8) -> U8:
-            frame = side_by_side(picture, _map_of(view, world))
+            # Around the first wheelchair: its route, all actors and wheelchairs, the scale.
+            snapshot, clients = world.snapshot, world.snapshot.clients
+            chairs = [
+                chair_pose(client.seat, client.plant, seat.chair.outline)
+                for client, seat in zip(clients, world.seats, strict=True)
+            ]
+            image = view.draw(clients[0].plant.p_WB_m, snapshot.actors, chairs, world.seats[0].route)
+            _draw_scale(image, view.px_per_m)
+            frame = side_by_side(picture, image)
             write(frame)
             return frame
 
         yield add
-
-
-def _map_of(view: MapView, world: World) -> U8:
-    """The map around the first wheelchair of a world now: its route, all actors and wheelchairs in it, the scale."""
-    snapshot, outlines = world.snapshot, [seat.chair.outline for seat in world.seats]
-    chairs = [
-        chair_pose(client.seat, client.plant, outline)
-        for client, outline in zip(snapshot.clients, outlines, strict=True)
-    ]
-    image = view.draw(snapshot.clients[0].plant.p_WB_m, snapshot.actors, chairs, world.seats[0].route)
-    _draw_scale(image, view.px_per_m)
-    return image
 
 
 def _draw_scale(image: U8, px_per_m: float) -> None:

@@ -327,13 +327,12 @@ def _mark_goal(chart: U8, goal_m: F64, span_m: float) -> U8:
     u, v = (0.5 * size + (away if inside else away * (reach / far))).round().astype(int).tolist()
     if inside:
         cv2.line(chart, (u, v), (u, v - 16), _RIM_RGB, 2, cv2.LINE_AA)
-    _fill(chart, [(u, v - 16), (u + 12, v - 11), (u, v - 6)] if inside else _arrow(u, v, away), GOAL_RGB)
+        mark = [(u, v - 16), (u + 12, v - 11), (u, v - 6)]
+    else:
+        x, y = away / np.hypot(*away)
+        mark = [(u + 9 * x, v + 9 * y), (u - 6 * x - 7 * y, v - 6 * y + 7 * x), (u - 6 * x + 7 * y, v - 6 * y - 7 * x)]
+    _fill(chart, mark, GOAL_RGB)
     return chart
-
-
-def _arrow(u: int, v: int, along: F64) -> list[tuple[float, float]]:
-    x, y = along / np.hypot(*along)
-    return [(u + 9 * x, v + 9 * y), (u - 6 * x - 7 * y, v - 6 * y + 7 * x), (u - 6 * x + 7 * y, v - 6 * y - 7 * x)]
 
 
 class _Arm:

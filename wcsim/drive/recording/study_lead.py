@@ -167,39 +167,6 @@ def _require_levels(study: OpenStudy, where: str) -> None:
 _COUNTED: Final = ("arrivals", "given_up", "crashes", "warnings", "interventions", "helps")
 
 
-def _block_row(study: OpenStudy, part: StudyPart, session: DriveSession, file: str, ended: str) -> Row:
-    """What was driven in a block.
-
-    Args:
-        study: The study, and who takes part.
-        part: The block, and where it stands.
-        session: The drive, at its end.
-        file: Of its recording.
-        ended: Why: "minutes", "arrivals", or "stopped" by the participant.
-    """
-    metrics, place = session.metrics, session.place
-    moving_s = metrics.moving_ticks * session.tick_s
-    return {
-        **_head(study, part.block.name),
-        "part": str(part.number),
-        "assistance": "on" if part.block.assistance else "off",
-        "level": "" if session.assistance.level is None else f"{session.assistance.level:g}",
-        "policy": session.assistance.name,
-        "town": place.town.name,
-        "seed": str(place.seed),
-        "episode": place.episode,
-        "recording": file,
-        "ended": ended,
-        "minutes": f"{session.counted_s / 60.0:.4f}",
-        "kpi1": "" if metrics.kpi1 is None else f"{metrics.kpi1:.5f}",
-        "kpi2": f"{metrics.kpi2:.2f}",
-        "distance_m": f"{session.way_m:.2f}",
-        "speed_mps": f"{session.way_m / moving_s:.4f}" if moving_s else "",
-        "overrulings": str(metrics.overrules),
-        **{name: str(getattr(metrics, name)) for name in _COUNTED},
-    }
-
-
 def _head(study: OpenStudy, block: str) -> dict[str, str]:
     return {
         "study": study.file.name,
@@ -374,12 +341,35 @@ class StudyLead:
         self._show()
 
     def _finish(self, ended: str) -> None:
-        """A part has been driven: keep its figures, until the answers to it are there."""
+        """A part has been driven: keep its figures, until the answers to it are there.
+
+        Why it has `ended`: "minutes", "arrivals", or "stopped" by the participant.
+        """
         session, part = self._session, self.step.part
         if session is None or part is None:
             return
-        failed = "yes" if self._failed else "no"
-        row = {**_block_row(self._study, part, session, self._file, ended), "policy_failed": failed}
+        metrics, place = session.metrics, session.place
+        moving_s = metrics.moving_ticks * session.tick_s
+        row: Row = {
+            **_head(self._study, part.block.name),
+            "part": str(part.number),
+            "assistance": "on" if part.block.assistance else "off",
+            "level": "" if session.assistance.level is None else f"{session.assistance.level:g}",
+            "policy": session.assistance.name,
+            "town": place.town.name,
+            "seed": str(place.seed),
+            "episode": place.episode,
+            "recording": self._file,
+            "ended": ended,
+            "minutes": f"{session.counted_s / 60.0:.4f}",
+            "kpi1": "" if metrics.kpi1 is None else f"{metrics.kpi1:.5f}",
+            "kpi2": f"{metrics.kpi2:.2f}",
+            "distance_m": f"{session.way_m:.2f}",
+            "speed_mps": f"{session.way_m / moving_s:.4f}" if moving_s else "",
+            "overrulings": str(metrics.overrules),
+            **{name: str(getattr(metrics, name)) for name in _COUNTED},
+            "policy_failed": "yes" if self._failed else "no",
+        }
         self._session, self._rows[part.block.name] = None, row
         self._hands.close()
         try:

@@ -17,7 +17,6 @@ import time
 from collections.abc import Collection, Container, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from types import FrameType
 from typing import Final
 
 import msgspec
@@ -126,7 +125,7 @@ class _StopRequest:
         self.reason = ""
         self._is_immediate = True
         self._parent = os.getppid()
-        signal.signal(signal.SIGTERM, self._on_sigterm)
+        signal.signal(signal.SIGTERM, lambda *_: self._stop("requested to stop"))
         # Ctrl-C at a terminal reaches the whole process group; the parent decides what it means.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(_PARENT_ENDED, self._on_parent_ended)
@@ -140,12 +139,7 @@ class _StopRequest:
         finally:
             self._is_immediate = False
 
-    def _on_sigterm(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self._stop("requested to stop")
-
-    def _on_parent_ended(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+    def _on_parent_ended(self, *_: object) -> None:
         # The kernel also sends this when only the thread that started this process has ended.
         if os.getppid() != self._parent:
             self._stop(_PARENT_ENDED_REASON)

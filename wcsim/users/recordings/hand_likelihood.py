@@ -111,11 +111,16 @@ def fit_hand_model(series: Sequence[HandTimeSeries]) -> HandFitResult:
     step_s = series[0].tick_s / series[0].steps
     sd["reaction_s"] = math.hypot(sd["reaction_s"], step_s / math.sqrt(12.0))
     has_tremor = len(found) == len(_NAMES)
+    # A user that only ever pushes to the gate shows no more than one that never moves.
+    moves = np.concatenate(
+        [np.hypot(item.stick[:, 0], item.stick[:, 1]) > MOVES for item in series]
+    )
+    counted = (np.concatenate(loss.counted) & moves).sum()
     return HandFitResult(
         values=values,
         sd=sd,
         tremor_most=0.0 if has_tremor else _most_tremor(series, found, guess),
-        counted_share=_counted_share(series, loss.counted),
+        counted_share=float(counted / max(1, int(moves.sum()))),
     )
 
 
@@ -128,17 +133,6 @@ def _most_tremor(series: Sequence[HandTimeSeries], calm: F64, guess: F64) -> flo
         if float(loss(shaken).sum()) > least + _IMPROBABLE:
             return amplitude
     return 0.2
-
-
-def _counted_share(series: Sequence[HandTimeSeries], counted: Sequence[Bool]) -> float:
-    """The share of a moving stick's samples that count.
-
-    A user that only ever pushes to the gate shows no more than one that never moves.
-    """
-    moves = np.concatenate(
-        [np.hypot(item.stick[:, 0], item.stick[:, 1]) > MOVES for item in series]
-    )
-    return float((np.concatenate(counted) & moves).sum() / max(1, int(moves.sum())))
 
 
 # --- where the search starts ---
