@@ -108,27 +108,21 @@ def make_kerbing(
             near = shapely.shortest_line(kerb, mark.line).interpolate(0.0).buffer(HALF_WIDTH_M)
         elsewhere += [(line, mark.height_m) for line in _lines(kerb.intersection(near))]
 
-    kerbs = [*zip(mouths, lips_m, strict=True), *elsewhere]
-    return Kerbing(top_m=top_m, lowered=_lowered_by_height(kerbs, top_m))
-
-
-def _lowered_by_height(
-    kerbs: Iterable[tuple[BaseGeometry, float]], top_m: float
-) -> tuple[_Lowered, ...]:
-    """Lines of kerbs, each with its height, gathered where that is less than the full one."""
+    # 4. Gather the lines of kerbs by their heights, where these are less than the full one.
     groups: dict[float, list[BaseGeometry]] = {}
-    for line, lip_m in kerbs:
+    for line, lip_m in (*zip(mouths, lips_m, strict=True), *elsewhere):
         if lip_m < top_m:
             groups.setdefault(lip_m, []).append(line)
-    return tuple(
+    lowered = tuple(
         _Lowered(
             drop_m=lip_m,
             ramp_m=_RAMP_RUN * (top_m - lip_m),
-            lines=shapely.MultiLineString(groups[lip_m]),
-            tree=shapely.STRtree(groups[lip_m]),
+            lines=shapely.MultiLineString(group),
+            tree=shapely.STRtree(group),
         )
-        for lip_m in sorted(groups)
+        for lip_m, group in sorted(groups.items())
     )
+    return Kerbing(top_m=top_m, lowered=lowered)
 
 
 def _along(mark: KerbMark, kerb: BaseGeometry) -> BaseGeometry:

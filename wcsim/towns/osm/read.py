@@ -445,8 +445,21 @@ def _bounds(root: Element) -> Box | None:
 
 def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> None:
     """Leave in `root` what lies around a box, in order and spelt in one way; no users' names."""
-    # 1. Leave out what is elsewhere.
-    nodes, ways, elsewhere = _needed(root, places, box)
+    # 1. Find the nodes and ways around the box; these lose what is too far.
+    near, far = box.grown(MARGIN_M), box.grown(FAR_M)
+    inside = {key for key, place in places.items() if near.holds(place)}
+    reachable = {key for key, place in places.items() if far.holds(place)}
+    nodes, ways, elsewhere = set(inside), set(), set()
+    for way in root.iterfind("way"):
+        way[:] = [child for child in way if child.tag != "nd" or child.get("ref") in reachable]
+        refs = {nd.attrib["ref"] for nd in way.iterfind("nd")}
+        is_new = "id" in way.attrib and way.get("id") not in ways
+        if len(refs) < 2 or refs.isdisjoint(inside) or not is_new:
+            elsewhere.add(way)
+        else:
+            nodes |= refs
+            ways.add(way.attrib["id"])
+    # 2. Leave out what is elsewhere.
     found = []
     for item in root:
         if item.tag == "node":
@@ -459,7 +472,7 @@ def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> Non
         if is_needed:
             found.append(item)
     root[:] = found
-    # 2. Spell the rest in one way.
+    # 3. Spell the rest in one way.
     for item in root:
         for key in ("version", "timestamp", "changeset", "uid", "user", "visible", "action"):
             item.attrib.pop(key, None)
@@ -477,23 +490,3 @@ def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> Non
     root.attrib.clear()
     root.set("version", "0.6")
     ElementTree.indent(root, "")
-
-
-def _needed(
-    root: Element, places: dict[str, tuple[float, float]], box: Box
-) -> tuple[set[str], set[str], set[Element]]:
-    """Ids of the nodes and ways around a box, and the ways elsewhere; ways lose what is too far."""
-    near, far = box.grown(MARGIN_M), box.grown(FAR_M)
-    inside = {key for key, place in places.items() if near.holds(place)}
-    reachable = {key for key, place in places.items() if far.holds(place)}
-    nodes, ways, elsewhere = set(inside), set(), set()
-    for way in root.iterfind("way"):
-        way[:] = [child for child in way if child.tag != "nd" or child.get("ref") in reachable]
-        refs = {nd.attrib["ref"] for nd in way.iterfind("nd")}
-        is_new = "id" in way.attrib and way.get("id") not in ways
-        if len(refs) < 2 or refs.isdisjoint(inside) or not is_new:
-            elsewhere.add(way)
-        else:
-            nodes |= refs
-            ways.add(way.attrib["id"])
-    return nodes, ways, elsewhere

@@ -398,10 +398,14 @@ def _program(logic: Element, paving: Paving, in_net: bool) -> bool:
     if not in_net:
         paving.overridden.add(signal)
     given = [phase.get("state", "") for phase in phases]
-    durations_s = [_number(phase.get("duration")) or 0.0 for phase in phases]
-    # A state of each ring is shown at once, and none alone tells which vehicles drive.
     rings = logic.get("type") == _RINGS
-    states = _all_red(given, links) if rings else _padded(given, durations_s, links)
+    if rings:
+        # A state of each ring is shown at once, and none alone tells which vehicles drive.
+        lights = [_with_crossings(_moved(state, links), frozenset(), links) for state in given]
+        states = tuple(map("".join, lights))
+    else:
+        durations_s = [_number(phase.get("duration")) or 0.0 for phase in phases]
+        states = _padded(given, durations_s, links)
     for link, edges in links.crossings.items():
         if all(state[link] == "r" for state in states):
             never = _NeverGreen(signal=signal, edge=min(edges), in_net=in_net, rings=rings)
@@ -409,12 +413,6 @@ def _program(logic: Element, paving: Paving, in_net: bool) -> bool:
     for phase, state in zip(phases, states, strict=True):
         phase.set("state", state)
     return tuple(given) != states
-
-
-def _all_red(states: Sequence[str], links: _SignalLinks) -> tuple[str, ...]:
-    """The states of a program, in their order, with each new crossing at red."""
-    moved = [_moved(state, links) for state in states]
-    return tuple("".join(_with_crossings(lights, frozenset(), links)) for lights in moved)
 
 
 def _padded(
