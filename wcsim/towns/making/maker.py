@@ -345,7 +345,17 @@ def _write_net(
 ) -> Path:
     """Make <name>.net.xml in `folder`. Raises SumoError when netconvert fails."""
     nodes, edges = folder / "made.nod.xml", folder / "made.edg.xml"
-    nodes.write_text(_nodes_xml(plan, streets, signals, rng), encoding="utf-8")
+    meeting: dict[int, list[_NamedStreet]] = {}
+    for street in streets:
+        for link in street.links:
+            for node in plan.links[link]:
+                meeting.setdefault(node, []).append(street)
+    lines = ["<nodes>"]
+    for number, (x_m, y_m) in enumerate(plan.nodes_m.tolist()):
+        driven = [street for street in meeting[number] if street.kind is not WALK]
+        kind = _junction_kind(driven, signals.share, rng.random())
+        lines.append(f'    <node id="j{number}" x="{x_m:.2f}" y="{y_m:.2f}" type="{kind}"/>')
+    nodes.write_text("\n".join([*lines, "</nodes>", ""]), encoding="utf-8")
     edges.write_text(_edges_xml(plan, streets), encoding="utf-8")
     options = ["-n", nodes.name, "-e", edges.name, *_NETCONVERT.split(), "-o", f"{name}.net.xml"]
     options += ["--default.crossing-width", f"{signals.crossing_m:.2f}"]
@@ -357,25 +367,6 @@ def _write_net(
     if run.returncode:
         raise SumoError(f"no net could be built: {run.reason()}; use another seed or size")
     return folder / f"{name}.net.xml"
-
-
-def _nodes_xml(
-    plan: StreetPlan,
-    streets: tuple[_NamedStreet, ...],
-    signals: _Signals,
-    rng: np.random.Generator,
-) -> str:
-    meeting: dict[int, list[_NamedStreet]] = {}
-    for street in streets:
-        for link in street.links:
-            for node in plan.links[link]:
-                meeting.setdefault(node, []).append(street)
-    lines = ["<nodes>"]
-    for number, (x_m, y_m) in enumerate(plan.nodes_m.tolist()):
-        driven = [street for street in meeting[number] if street.kind is not WALK]
-        kind = _junction_kind(driven, signals.share, rng.random())
-        lines.append(f'    <node id="j{number}" x="{x_m:.2f}" y="{y_m:.2f}" type="{kind}"/>')
-    return "\n".join([*lines, "</nodes>", ""])
 
 
 def _junction_kind(driven: list[_NamedStreet], share: float, drawn: float) -> str:

@@ -201,9 +201,27 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
         )
         raise _other(path, _DATA["roots"].get(root.tag, foreign))
 
-    # 2. Find the places of its streets.
-    places = _places(root, path)
-    nodes = _street_nodes(root, places, path)
+    # 2. Find the places of the nodes of its streets, street by street.
+    places, streets = _places(root, path), _streets(root)
+    lines = [
+        [places[ref] for nd in way.iterfind("nd") if (ref := nd.get("ref", "")) in places]
+        for way in streets
+    ]
+    bare = sum(len(line) < 2 for line in lines)
+    if 2 * bare > len(streets):
+        raise TownError(
+            f"{path}: {bare} of its {len(streets)} streets have no nodes, "
+            f"as after Overpass' out geom; {EXPECTED}, with nodes: "
+            "end the query with (._;>;); out body;"
+        )
+    if not streets:
+        remark = root.findtext("remark", "").strip()
+        answer = f" (the server said: {escape(remark, 200)})" if remark else ""
+        raise TownError(
+            f"{path}: is not an OpenStreetMap extract with streets in it{answer}; "
+            f"{EXPECTED}, with streets"
+        )
+    nodes = [place for line in lines for place in line]
 
     # 3. Choose the box, and cut.
     cover, named = _cover(nodes), box or _bounds(root)
@@ -370,36 +388,6 @@ def _place(node: Element, path: Path) -> tuple[float, float] | None:
         f"{path}: node {escape(node.get('id', '?'), 40)} lies at {where}; "
         "expected degrees of longitude and latitude"
     )
-
-
-def _street_nodes(
-    root: Element, places: dict[str, tuple[float, float]], path: Path
-) -> list[tuple[float, float]]:
-    """The places of the nodes of all streets, street by street.
-
-    Raises:
-        TownError: There are no streets, or most of them have no nodes.
-    """
-    streets = _streets(root)
-    lines = [
-        [places[ref] for nd in way.iterfind("nd") if (ref := nd.get("ref", "")) in places]
-        for way in streets
-    ]
-    bare = sum(len(line) < 2 for line in lines)
-    if 2 * bare > len(streets):
-        raise TownError(
-            f"{path}: {bare} of its {len(streets)} streets have no nodes, "
-            f"as after Overpass' out geom; {EXPECTED}, with nodes: "
-            "end the query with (._;>;); out body;"
-        )
-    if not streets:
-        remark = root.findtext("remark", "").strip()
-        answer = f" (the server said: {escape(remark, 200)})" if remark else ""
-        raise TownError(
-            f"{path}: is not an OpenStreetMap extract with streets in it{answer}; "
-            f"{EXPECTED}, with streets"
-        )
-    return [place for line in lines for place in line]
 
 
 def _streets(root: Element) -> list[Element]:

@@ -89,11 +89,26 @@ def build_walk_graph(
             builder.add_lane(lane, WayKind.CROSSING, signals.get(lane.edge_id, ("", ())))
 
     # 3. Link the lanes that meet in a walking area.
-    ends = _ends_at_areas(net)
-    for area in net.lanes(LaneKind.WALKINGAREA):
-        builder.link(area, ends[area.edge_id])
+    areas = net.lanes(LaneKind.WALKINGAREA)
+    ends: dict[str, dict[str, None]] = {area.edge_id: {} for area in areas}
+    for link in net.connections:
+        if link.start in ends:
+            ends[link.start][f"{link.end}_{link.end_lane}"] = None
+        if link.end in ends:
+            ends[link.end][f"{link.start}_{link.start_lane}"] = None
+    for area in areas:
+        builder.link(area, [*ends[area.edge_id]])
 
-    return _largest_part(builder.nodes, _with_dead_lights(builder.edges, phases))
+    # 4. Mark the crossings that no known phase frees.
+    programs: dict[str, list[SignalState]] = defaultdict(list)
+    for phase in phases:
+        programs[phase.tls_id].append(phase)
+    marked: list[WalkEdge] = []
+    for edge in builder.edges:
+        states = programs.get(edge.tls_id, []) if edge.tls_id else []
+        dead = states and not any(state.frees(edge.tls_links) for state in states)
+        marked.append(replace(edge, never_green=True) if dead else edge)
+    return _largest_part(builder.nodes, marked)
 
 
 def shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None:
@@ -230,31 +245,6 @@ def _first_part(space: BaseGeometry, points_m: F64) -> F64 | None:
             found: F64 = shapely.get_coordinates(part)
             return found if np.hypot(*(found[0] - points_m[0])) < 0.06 else found[::-1]
     return None
-
-
-def _ends_at_areas(net: Net) -> dict[str, list[str]]:
-    """Ids of the lanes that meet in each walking area."""
-    areas = {lane.edge_id for lane in net.lanes(LaneKind.WALKINGAREA)}
-    found: dict[str, dict[str, None]] = defaultdict(dict)
-    for link in net.connections:
-        if link.start in areas:
-            found[link.start][f"{link.end}_{link.end_lane}"] = None
-        if link.end in areas:
-            found[link.end][f"{link.start}_{link.start_lane}"] = None
-    return defaultdict(list, {area: list(lanes) for area, lanes in found.items()})
-
-
-def _with_dead_lights(edges: list[WalkEdge], phases: Iterable[SignalState]) -> list[WalkEdge]:
-    """The same edges, with crossings marked that no known phase frees."""
-    programs: dict[str, list[SignalState]] = defaultdict(list)
-    for phase in phases:
-        programs[phase.tls_id].append(phase)
-    marked: list[WalkEdge] = []
-    for edge in edges:
-        states = programs.get(edge.tls_id, []) if edge.tls_id else []
-        dead = states and not any(state.frees(edge.tls_links) for state in states)
-        marked.append(replace(edge, never_green=True) if dead else edge)
-    return marked
 
 
 def _largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:
