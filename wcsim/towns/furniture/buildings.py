@@ -52,7 +52,7 @@ def make_buildings(
     What stands on the street (arcades, passages) or outside the town is cut off.
     """
     # 1. Tell what stands from what starts on an upper floor.
-    solid, raised = _composed(_hollowed(*_outlines(items, hull)))
+    solid, raised = _composed(_outlines(items, hull))
 
     # 2. Clear what stands of the street. No ground is taken twice: what comes first has it.
     patches = Patches(street)
@@ -84,8 +84,8 @@ def make_buildings(
     return standing, overhead
 
 
-def _outlines(items: list[Item], hull: BaseGeometry) -> tuple[list[_Body], list[BaseGeometry]]:
-    """All outlines of buildings and their parts, the large ones first, and those of courtyards."""
+def _outlines(items: list[Item], hull: BaseGeometry) -> list[_Body]:
+    """All outlines of buildings and their parts, without courtyards, the large ones first."""
     shapely.prepare(hull)
     bodies: list[_Body] = []
     courtyards: list[BaseGeometry] = []
@@ -111,7 +111,18 @@ def _outlines(items: list[Item], hull: BaseGeometry) -> tuple[list[_Body], list[
             height_m = max(_height_m(item, area.area), least_m)
             is_part = item.detail == "part"
             bodies.append(_Body(area=area, rise_m=low_m, height_m=height_m, part=is_part))
-    return sorted(bodies, key=lambda body: -body.area.area), courtyards
+
+    # Cut the courtyards out of the buildings around them.
+    tree = shapely.STRtree(courtyards)
+    hollowed: list[_Body] = []
+    for body in sorted(bodies, key=lambda body: -body.area.area):
+        inside = [courtyards[i] for i in sorted(tree.query(body.area).tolist())]
+        inside = [yard for yard in inside if yard.area < 0.98 * body.area.area]
+        yards = [y for y in inside if y.intersection(body.area).area > 0.9 * y.area]
+        if yards:
+            body = replace(body, area=_areas(body.area.difference(shapely.union_all(yards))))
+        hollowed.append(body)
+    return hollowed
 
 
 def _hidden(item: Item) -> bool:
@@ -123,20 +134,6 @@ def _hidden(item: Item) -> bool:
         or number(item.tags, "layer") < 0.0
         or number(item.tags, "building:levels") < 0.0
     )
-
-
-def _hollowed(bodies: list[_Body], courtyards: list[BaseGeometry]) -> list[_Body]:
-    """The same bodies, with courtyards cut out of the buildings around them."""
-    tree = shapely.STRtree(courtyards)
-    hollowed: list[_Body] = []
-    for body in bodies:
-        inside = [courtyards[i] for i in sorted(tree.query(body.area).tolist())]
-        inside = [yard for yard in inside if yard.area < 0.98 * body.area.area]
-        yards = [y for y in inside if y.intersection(body.area).area > 0.9 * y.area]
-        if yards:
-            body = replace(body, area=_areas(body.area.difference(shapely.union_all(yards))))
-        hollowed.append(body)
-    return hollowed
 
 
 def _composed(bodies: list[_Body]) -> tuple[list[_Body], list[_Body]]:

@@ -438,8 +438,14 @@ def _padded(
         while changing[then] and (then + 1) % len(changing) != number:
             then = (then + 1) % len(changing)
         green = {link for link, is_free in free[number].items() if is_free and free[then][link]}
-        lights = _with_crossings(state_lights, green, links)
-        made.append("".join(_with_yields(lights, links)))
+        lit = _with_crossings(state_lights, green, links)
+        # 4. Vehicles that turn into a street with a green crossing have to yield.
+        for drive in links.drives:
+            crossed = (edges for link, edges in links.crossings.items() if lit[link] == "G")
+            turns = lit[drive.link] == "G" and not drive.straight
+            if turns and any(drive.end in edges for edges in crossed):
+                lit[drive.link] = "g"
+        made.append("".join(lit))
     return tuple(made)
 
 
@@ -450,17 +456,6 @@ def _with_crossings(lights: list[str], green: Set[int], links: _SignalLinks) -> 
         lit[link] = "G" if link in green else "r"
         if all(lit[drive.link] in _OFF for drive in links.drives):
             lit[link] = "o"
-    return lit
-
-
-def _with_yields(lights: list[str], links: _SignalLinks) -> list[str]:
-    """A state in which vehicles that turn into a street with a green crossing have to yield."""
-    lit = list(lights)
-    for drive in links.drives:
-        crossed = (edges for link, edges in links.crossings.items() if lit[link] == "G")
-        turns = lit[drive.link] == "G" and not drive.straight
-        if turns and any(drive.end in edges for edges in crossed):
-            lit[drive.link] = "g"
     return lit
 
 
