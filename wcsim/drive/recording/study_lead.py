@@ -101,7 +101,15 @@ def open_study(
     text = read_text(path, SETTINGS)
     file = parse(StudyFile, parse_toml(text, escape(path), SETTINGS), escape(path))
     digest = hashlib.sha256(text.encode()).hexdigest()
-    _require_named(file.policy, named, escape(path))
+    # Another policy than the file's is refused, and a class that would be loaded without being named again.
+    if named and named != file.policy:
+        told = f"{escape(path)} says policy = {escape(file.policy)!r}"
+        raise ConfigError(f"--policy {escape(named)} with --study: {told}; leave --policy out")
+    if parse_policy_name(file.policy).kind == "class" and not named:
+        raise ConfigError(
+            f"{escape(path)}: its policy is the class {escape(file.policy)}, and loading it runs its code; if you "
+            f"trust it, name it: --policy {shlex.quote(escape(file.policy))}"
+        )
     place_of_results = out or Path("studies") / file.name
     study = OpenStudy(file=file, sha256=digest, participant=participant, out=place_of_results, network=network)
     for place in (*file.places, *([file.practice_place] if file.practice_place else [])):
@@ -129,18 +137,6 @@ def study_start(file: StudyFile, place: StudyPlace, network: str) -> DriveStart:
     if place.suite:
         return replace(drives, profile="", suite=place.suite, block=place.block, seat=place.seat)
     return replace(drives, town=place.town, profile=file.profile, seed=place.seed)
-
-
-def _require_named(policy: str, named: str, where: str) -> None:
-    """Raise ConfigError for another policy than the file's, or a class that is loaded without being named again."""
-    if named and named != policy:
-        told = f"{where} says policy = {escape(policy)!r}"
-        raise ConfigError(f"--policy {escape(named)} with --study: {told}; leave --policy out")
-    if parse_policy_name(policy).kind == "class" and not named:
-        raise ConfigError(
-            f"{where}: its policy is the class {escape(policy)}, and loading it runs its code; if you "
-            f"trust it, name it: --policy {shlex.quote(escape(policy))}"
-        )
 
 
 def _require_levels(study: OpenStudy, where: str) -> None:
@@ -206,7 +202,15 @@ class StudyLead:
         done = {row["block"] for row in _participant_rows(study)}
         steps = remaining_steps(study.file, study.participant, done)
         parts = dict.fromkeys(step.part for step in steps if step.part is not None)
-        self._rows = {part.block.name: row for part in parts for row in self._left_over(part)}  # driven, not asked yet
+        # The figures of parts that were driven in a sitting before, whose questions were not answered.
+        self._rows = dict[str, Row]()
+        for part in parts:
+            path = self._result(part)
+            for row in read_rows(path, table_columns(study.file)):
+                if row["study_sha256"] == study.sha256[:12]:
+                    self._rows[part.block.name] = row
+            if part.block.name in self._rows:
+                hands.say(f"{part.block.name} was driven before; only its questions are left: {escape(path)}")
         self._steps = remaining_steps(study.file, study.participant, done, self._rows)
         self._at, self._view = 0, dict[str, Any]()
         self._session: DriveSession | None = None
@@ -381,15 +385,6 @@ class StudyLead:
         except WcsimError as error:
             self._hands.say(f"{error}; the results of this part: {', '.join(map(str, row.values()))}")
         self._next()
-
-    def _left_over(self, part: StudyPart) -> tuple[Row, ...]:
-        """The figures of a part that was driven in a sitting before, whose questions were not answered."""
-        path = self._result(part)
-        rows = read_rows(path, table_columns(self._study.file))
-        found = tuple(row for row in rows if row["study_sha256"] == self._study.sha256[:12])[-1:]
-        if found:
-            self._hands.say(f"{part.block.name} was driven before; only its questions are left: {escape(path)}")
-        return found
 
     def _forget(self, part: StudyPart) -> None:
         """The figures are in the table: who drives this part anew, as after a pilot, is not taken for having driven."""

@@ -341,7 +341,10 @@ class DriveServer:
             runner.server.request_factory = partial(app._make_request, _cls=_Request)
         try:
             await _listen_at(runner, self._host, self._port)
-            self._say(f"{self._start.word} at {self._address(runner)}  (Ctrl-C to stop)")
+            host = f"[{self._host}]" if ":" in self._host else self._host
+            token = f"?token={self._access.token}" if self._access.token else ""
+            address = f"http://{host}:{runner.addresses[0][1]}/{token}"
+            self._say(f"{self._start.word} at {address}  (Ctrl-C to stop)")
             self._say(self._start.begins)
             async with _running(self._start, self._words, self._told) as listening:
                 await asyncio.wait([listening])
@@ -351,12 +354,6 @@ class DriveServer:
             await runner.cleanup()
         what = f"the {self._start.word}'s process"
         raise WorkersError(f"{what} has ended; the messages above say why: start it again")
-
-    def _address(self, runner: web.AppRunner) -> str:
-        port = runner.addresses[0][1]
-        host = f"[{self._host}]" if ":" in self._host else self._host
-        token = f"?token={self._access.token}" if self._access.token else ""
-        return f"http://{host}:{port}/{token}"
 
     # --- what a browser reads ---
 

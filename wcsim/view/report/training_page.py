@@ -207,10 +207,14 @@ def _clients(training: Training) -> Exhibit:
     for name, episodes in _counted(training).items():
         steps = training.steps.get(name, ())
         crossed, last = crossing(steps), [*training.clients[name], *steps]
+        means: list[Cell] = []
+        for key in ("length", "overestimate"):
+            values = [value for episode in episodes if (value := getattr(episode, key)) is not None]
+            means.append(round(running_means(values)[-1], 4) if values else None)
         rows.append([
             name, max((row.step for row in last), default=0), len(episodes), sum(e.crashed for e in episodes),
             sum(e.cut for e in training.clients[name]), crossed.step, crossed.left, _rounded(crossed.last),
-            *(_last_mean(episodes, key) for key in ("length", "overestimate")),
+            *means,
         ])  # fmt: skip
     headings = (
         *("client", "steps", "episodes", "crashes", "cut", f"KPI 1 below {KPI1_LIMIT} from step"),
@@ -218,11 +222,6 @@ def _clients(training: Training) -> Exhibit:
         *(f"{what}, last {OVER}" for what in ("KPI 2", "value minus return")),
     )
     return Exhibit(name="clients", title="Clients", columns=headings, rows=rows)
-
-
-def _last_mean(episodes: Sequence[TrainedEpisode], key: str) -> float | None:
-    values = [value for episode in episodes if (value := getattr(episode, key)) is not None]
-    return round(running_means(values)[-1], 4) if values else None
 
 
 _SHOWN: Final = (
