@@ -203,7 +203,7 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
     ]
 
 
-def _find_notes(town: Town, net: Net, over: tuple[_Overlap, ...]) -> tuple[str, ...]:
+def _find_notes(town: Town, net: Net, over: tuple[_Overlap, ...] = ()) -> tuple[str, ...]:
     """What is worth knowing and no fault."""
     changed, net_file = find_changes(town.folder, town.file), town.net.resolve()
     notes = [
