@@ -14,14 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import (
-    PROFILE,
-    escape,
-    escape_repr,
-    parse_json,
-    read_module_toml,
-    read_toml,
-)
+from wcsim.core.reading import PROFILE, escape, escape_repr, parse_json, read_module_toml, read_toml
 from wcsim.errors import ConfigError, meant
 
 _SUFFIX: Final = ".toml"

@@ -39,13 +39,7 @@ from wcsim.cli.shared.training_options import OutputOptions
 from wcsim.core.files import lock_run_folder
 from wcsim.core.own_folder import create_runtime_folder
 from wcsim.core.processes import StopSignalCounter
-from wcsim.errors import (
-    ConfigError,
-    DiskFullError,
-    InterruptedRunError,
-    JournalError,
-    WcsimError,
-)
+from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, WcsimError
 from wcsim.log.reader import hash_log, iter_journal_inputs, list_log_parts
 from wcsim.log.writer import JOURNAL, LogWriter, format_truncation_warning
 from wcsim.server.launch.launcher import ProcessLauncher

@@ -50,13 +50,7 @@ from wcsim.server.protocol.limits import NO_ROOM, explain_resource_limit_error, 
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldProcessSpec, measure_rss_mb, read_spec_file
 from wcsim.server.transport.shared_images import SharedImageWriter
-from wcsim.server.transport.sockets import (
-    LOCAL,
-    REMOTE,
-    IncomingMessage,
-    PeerLimits,
-    ServerSockets,
-)
+from wcsim.server.transport.sockets import LOCAL, REMOTE, IncomingMessage, PeerLimits, ServerSockets
 
 SETTLED_TICKS: Final = 100  # the memory that an epoch starts with is measured after so many ticks
 _GROWTH_MB: Final = 1_000.0  # by which a process may grow in an epoch
