@@ -252,8 +252,7 @@ def decode_depth(code: U8, range_m: float) -> F32:
     steps = np.arange(-1, _DEPTH_STEPS + 1) / _DEPTH_STEPS
     metres = (_DEPTH_NEAR_M * (range_m / _DEPTH_NEAR_M) ** steps).astype(np.float32)
     metres[0] = 0.0
-    decoded: F32 = metres[code]
-    return decoded
+    return metres[code]
 
 
 @lru_cache(maxsize=8)
@@ -296,8 +295,7 @@ def _planes(fold: bool) -> F32:
     table = make_class_palette()
     if fold:
         table = table[make_cityscapes_class_table()]
-    planes: F32 = np.ascontiguousarray(table.T, dtype=np.float32) / np.float32(255.0)
-    return planes
+    return np.ascontiguousarray(table.T, dtype=np.float32) / np.float32(255.0)
 
 
 def _frame(sensors: SensorFrame, name: str) -> CameraFrame:

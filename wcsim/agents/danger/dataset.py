@@ -60,8 +60,7 @@ def _happened(segment: DrivingSegment, actions: ActionSet, ahead: int, tick_s: f
     passed = (acts > 2 * ahead) & (held >= hold)
     label = np.where(crashed, 1, np.where(passed, 0, UNKNOWN)).astype(np.uint8)
     near = np.linalg.norm(actions.points[:, None] - actions.points, axis=2) <= _SHARED
-    labels: U8 = np.where(near[segment.action], label[:, None], np.uint8(UNKNOWN))
-    return labels
+    return np.where(near[segment.action], label[:, None], np.uint8(UNKNOWN))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

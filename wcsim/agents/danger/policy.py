@@ -37,8 +37,7 @@ def _within(danger: F64, rule: DangerRuleSettings, last: int = -1, taken: int = 
         limit[last] *= rule.hysteresis_factor
     if taken >= 0:
         limit[taken] *= GIVES_BACK
-    allowed: Bool = danger < limit
-    return allowed
+    return danger < limit
 
 
 def _next_recent(before: int, unsafe: bool, danger: float, rule: DangerRuleSettings) -> int:

@@ -5,8 +5,6 @@ Its world lives in a process of its own. `save` makes a copy of that process whe
 user and all chance, to the bit, at the price of no tick.
 """
 
-from __future__ import annotations
-
 import os
 from contextlib import suppress
 from functools import partial

@@ -292,8 +292,7 @@ class _DataDriver:
             self._reckless = bool(rng.random() < _RECKLESS_SHARE)
         if self._held <= 0:
             return stick
-        wish: F64 = np.clip(stick + self._offset, -1.0, 1.0)
-        return wish
+        return np.clip(stick + self._offset, -1.0, 1.0)
 
 
 MakeLearned = Callable[[int], _Learned]  # for a chair whose commands arrive so many ticks late

@@ -157,8 +157,7 @@ def crash_times_to_codes(first_s: F64) -> U8:
     steps = np.where(
         np.isinf(first_s), SAFE, np.minimum(np.rint(np.minimum(first_s, 1e3) / STEP_S), SAFE - 1)
     )
-    codes: U8 = steps.astype(np.uint8)
-    return codes
+    return steps.astype(np.uint8)
 
 
 def mask_soon_unsafe_actions(codes: U8, ends: Bool, ahead: int) -> Bool:

@@ -458,8 +458,7 @@ class _ObservationLayout:
             for key, _ in self.images
         ]
         # As bytes: the stores behind it know no floats, and the same bits come back.
-        rows: U8 = np.concatenate(parts, axis=2).reshape(count, -1).view(np.uint8)
-        return rows
+        return np.concatenate(parts, axis=2).reshape(count, -1).view(np.uint8)
 
     def vector_rows(self, batch: Mapping[str, npt.NDArray[Any]]) -> F32:
         """Vectors of a batch side by side, (N, vector_size)."""
