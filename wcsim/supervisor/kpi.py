@@ -230,7 +230,7 @@ def _long_stretches(frozen: Bool, tick_s: float) -> int:
 
 def _out(sticks: F64) -> F64:
     """How far sticks (N, 2) are out, (N,)."""
-    return np.asarray(np.hypot(sticks[:, 0], sticks[:, 1]), np.float64)
+    return np.hypot(sticks[:, 0], sticks[:, 1])
 
 
 def _travel(sticks: F64) -> float:

@@ -105,7 +105,7 @@ class _RollOutHead(nn.Module):
         # A soft maximum: one bad cell is a crash, but the gradient has to reach its neighbours too. Never flat (0.2).
         sharp = functional.softplus(self.sharpness) + 0.2
         # Less the logarithm of how many: equal costs give that cost, however many cells are read.
-        return torch.as_tensor((torch.logsumexp(read * sharp, 2) - math.log(read.shape[2])) / sharp)
+        return (torch.logsumexp(read * sharp, 2) - math.log(read.shape[2])) / sharp
 
 
 class Context(nn.Module):

@@ -148,9 +148,7 @@ class _CorridorWatch:
 
 def _limit_m(points_B_m: F64) -> F64:
     """(K,) the height above which a place is in the way, and the depth below which it is a drop."""
-    return np.asarray(
-        STEP_M + _SLOPE_PER_M * np.hypot(points_B_m[:, 0], points_B_m[:, 1]), np.float64
-    )
+    return STEP_M + _SLOPE_PER_M * np.hypot(points_B_m[:, 0], points_B_m[:, 1])
 
 
 def _heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F64]:
@@ -175,7 +173,7 @@ def _in_corridor(
     x, y = points_B_m[:, 0], points_B_m[:, 1]
     half = 0.5 * outline.width_m + MARGIN_M
     if abs(turn_radps) < _STRAIGHT_RADPS:
-        return np.asarray((np.abs(y) < half) & (x > 0.0) & (x < reach_m), dtype=np.bool_)
+        return (np.abs(y) < half) & (x > 0.0) & (x < reach_m)
     radius = speed_mps / turn_radps  # centre of the arc at (0, radius), left positive
     aside = np.abs(np.hypot(x, y - radius) - abs(radius))
     angle = np.arctan2(x, (radius - y) * np.sign(radius))

@@ -206,7 +206,7 @@ class GeometryStore:
     def global_faces(self) -> I32:
         """Faces (F, 3) that index the vertices as a whole."""
         start = np.repeat(self.arrays.chunk_vertices[:-1], np.diff(self.arrays.chunk_faces))
-        return np.asarray(self.arrays.faces + start[:, None], np.int32)
+        return self.arrays.faces + start[:, None]
 
 
 def _kerb_stones(mesh: StreetMesh) -> StreetMesh:

@@ -162,7 +162,7 @@ class _RawFrames:
 
     def read(self, index: I64, seats: I64) -> U8:
         """Copies of frames, (K,) and (K,) -> (K, size)."""
-        return np.asarray(self._frames[index % len(self._frames), seats], dtype=np.uint8)
+        return self._frames[index % len(self._frames), seats]
 
 
 class _PackedFrames:
