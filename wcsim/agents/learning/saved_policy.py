@@ -84,7 +84,7 @@ def load_policy(path: Path, network: str | None = None) -> _NetPolicy:
 
 
 def load_policy_for_config(
-    folder: Path, name: str, config: RunConfig, network: str | None = None
+    folder: Path, name: str, config: RunConfig, network: str | None
 ) -> _NetPolicy:
     """A policy for one chair.
 

@@ -325,7 +325,7 @@ def read_run_json(path: Path, name: str) -> dict[str, Any]:
     return data
 
 
-def open_or_create_run(run: ResolvedRun, complete: Complete = lambda _: None) -> RunFolder:
+def open_or_create_run(run: ResolvedRun, complete: Complete) -> RunFolder:
     """A new run folder, or that of a run to resume with equal settings, seed, town and rewards.
 
     Args:

@@ -168,7 +168,7 @@ class _RawFrames:
 class _PackedFrames:
     """Frames as blobs, 3 to 24 kB for a 320x240 pair of images; their first bytes are of depth."""
 
-    def __init__(self, rows: int, seats: int, size: int, smooth: int = 0) -> None:
+    def __init__(self, rows: int, seats: int, size: int, smooth: int) -> None:
         self._blobs: list[list[bytes]] = [[b""] * seats for _ in range(rows)]
         self._size, self._codec = size, BlobCodec(size, smooth)
 
@@ -186,7 +186,7 @@ class _PackedFrames:
         return out
 
 
-def _frame_store(rows: int, seats: int, size: int, smooth: int = 0) -> _RawFrames | _PackedFrames:
+def _frame_store(rows: int, seats: int, size: int, smooth: int) -> _RawFrames | _PackedFrames:
     """The store that fits frames of `size` bytes, the first `smooth` of depth, of `rows` steps."""
     if size <= PACK_ABOVE_BYTES:
         return _RawFrames(rows, seats, size)
