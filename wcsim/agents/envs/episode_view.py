@@ -16,7 +16,6 @@ from typing import Any, Final, NamedTuple, get_args
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.agents import policy_api
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, JOYSTICK_KEY, RGB_KEY, STATE_SENSE
@@ -385,7 +384,7 @@ class FrameStacker:
         join = np.stack if policy_api.COLOURS_KEY in observation else np.concatenate
         missing = max(self._frames - len(self._observations), 1)
         self._observations.extend([observation] * missing)
-        images: dict[str, npt.NDArray[Any]] = {
+        images: Observation = {
             key: join([old[key] for old in self._observations]) for key in _image_keys(observation)
         }
         return {**observation, **images}

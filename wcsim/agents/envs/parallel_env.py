@@ -5,7 +5,7 @@ the street, until the next `reset` makes a new world with all chairs. All act in
 """
 
 from collections.abc import Mapping
-from typing import Any, Unpack
+from typing import Unpack
 
 import gymnasium
 import numpy as np
@@ -72,7 +72,7 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
         return self._action_spaces[agent]
 
     def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
+        self, seed: int | None = None, options: Info | None = None
     ) -> tuple[dict[str, EnvObservation], dict[str, Info]]:
         """Begin with all agents in a new world; without a seed, with the next one of the last seed.
 

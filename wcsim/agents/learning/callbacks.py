@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
-from wcsim.agents.envs.episode_view import OBJECTS, WORLD_RESTARTED
+from wcsim.agents.envs.episode_view import OBJECTS, WORLD_RESTARTED, Info
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.agents.runs.metrics import (
@@ -179,7 +179,7 @@ class EpisodeMetricsCallback(SeqDqnCallback):
             }
         )
 
-    def _write_episode_row(self, seat: int, info: dict[str, Any]) -> None:
+    def _write_episode_row(self, seat: int, info: Info) -> None:
         learner, sums = self.learner, self._by_seat[seat]
         # Its world ended before its first step.
         if not sums.kpis.ticks:
@@ -304,7 +304,7 @@ class _EpisodeSums:
         default_factory=lambda: _DiscountedReturn(gamma=1.0, scale=1.0)
     )
 
-    def add(self, reward: float, info: dict[str, Any]) -> None:
+    def add(self, reward: float, info: Info) -> None:
         """Add a step, by an environment's `info`."""
         self.reward += reward
         self.discounted.add(reward)
@@ -314,7 +314,7 @@ class _EpisodeSums:
         distance = float(info.get("joystick_distance", 0.0))
         self.kpis = self.kpis.plus(happened, distance, float(info.get("speed_mps", 0.0)))
 
-    def row(self, info: dict[str, Any], crashed: bool) -> dict[str, Value]:
+    def row(self, info: Info, crashed: bool) -> dict[str, Value]:
         """The row of metrics.csv for an episode that ended with this step.
 
         `cut` is 1 where its world ended it.
@@ -334,6 +334,6 @@ class _EpisodeSums:
         }
 
 
-def _events(info: dict[str, Any]) -> Events | None:
+def _events(info: Info) -> Events | None:
     """The events of a step; None of an environment that has none."""
     return getattr(info.get(OBJECTS), "events", None)

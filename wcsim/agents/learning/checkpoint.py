@@ -6,7 +6,7 @@ resumed run starts a new episode and with it a new exploration offset. All else 
 holds is restored exactly.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +19,7 @@ from wcsim.agents.learning.replay.frame_store import ZSTD_LEVEL
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.runs.checkpoint import (
     STATE,
+    Alive,
     Arrays,
     Restore,
     find_newest_checkpoint_arrays,
@@ -43,7 +44,7 @@ def save_checkpoint(
     folder: Path,
     model: SeqDQN,
     extra: Mapping[str, int | bool],
-    alive: Callable[[], object] = lambda: None,
+    alive: Alive = lambda: None,
     *,
     replay: bool = True,
 ) -> Path:
@@ -71,9 +72,7 @@ def save_checkpoint(
     )
 
 
-def make_checkpoint_restorer(
-    model: SeqDQN, alive: Callable[[], object] = lambda: None
-) -> Restore[QTrainingProgress]:
+def make_checkpoint_restorer(model: SeqDQN, alive: Alive) -> Restore[QTrainingProgress]:
     """The function that brings a fresh model, of the same configuration, to a checkpoint.
 
     What fails on the way leaves a learner that has to be restored from another one. `alive` is
@@ -193,7 +192,7 @@ def _per_step(replay: FrameReplay) -> tuple[str, ...]:
     return (*_PER_STEP, *_OF_ADVICE) if replay.advised else _PER_STEP
 
 
-def _replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
+def _replay_arrays(replay: FrameReplay, alive: Alive = lambda: None) -> Arrays:
     """Everything in the memory, oldest step first.
 
     Images are compressed, which takes minutes for a large one; `alive` is called now and then.
@@ -271,9 +270,7 @@ def _check_fit(replay: FrameReplay, arrays: Arrays) -> None:
         raise ValueError("replay: its frames have other lengths than it says")
 
 
-def _restore_replay(
-    replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None
-) -> None:
+def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Alive = lambda: None) -> None:
     """Put the arrays of `_replay_arrays` into a memory of the same size that they fit.
 
     A resumed run starts a new episode; its first step differs from the expected one, which ends
@@ -314,9 +311,7 @@ def _restore_replay(
         replay.expected = (arrays["next_images"], arrays["next_vectors"])
 
 
-def _restore_frames(
-    replay: FrameReplay, arrays: Arrays, index: I64, alive: Callable[[], object]
-) -> None:
+def _restore_frames(replay: FrameReplay, arrays: Arrays, index: I64, alive: Alive) -> None:
     data, lengths = arrays["frames"].tobytes(), arrays["blob_bytes"]
     stops = np.cumsum(lengths)
     blobs = [data[stop - length : stop] for stop, length in zip(stops, lengths, strict=True)]

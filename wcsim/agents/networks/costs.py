@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 from gymnasium import spaces
-from torch import nn
+from torch import Tensor, nn
 
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import preferred_window_size
@@ -102,7 +102,7 @@ def _time_calls(call: Callable[[], object], runs: int) -> Times:
     return float(np.median(times_ms)), float(np.percentile(times_ms, 99))
 
 
-def _count_macs(net: nn.Module, seen: dict[str, torch.Tensor]) -> tuple[int, int]:
+def _count_macs(net: nn.Module, seen: dict[str, Tensor]) -> tuple[int, int]:
     """Multiplications of one call, and the bytes of the largest layer's output."""
     macs, largest = 0, 0
 
@@ -139,12 +139,12 @@ class _PositionalNet(nn.Module):
         super().__init__()
         self.net, self.keys = net, tuple(keys)
 
-    def forward(self, *tensors: torch.Tensor) -> torch.Tensor:
+    def forward(self, *tensors: Tensor) -> Tensor:
         """Values of all actions."""
         return torch.as_tensor(self.net(dict(zip(self.keys, tensors, strict=True))))
 
 
-def _time_onnx(net: QNet, seen: dict[str, torch.Tensor], runs: int) -> float | None:
+def _time_onnx(net: QNet, seen: dict[str, Tensor], runs: int) -> float | None:
     """Median of a decision by ONNX Runtime, in ms; None where it cannot run the network."""
     from wcsim.agents.networks.onnx_form import network_to_onnx
 

@@ -18,7 +18,6 @@ example: `examples/served_policy.py`.
 import json
 import socket
 import time
-from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -102,9 +101,7 @@ class ServedPolicyClient:
         self.warning = answer.get("warning") is True
         return action
 
-    def _request(
-        self, kind: str, observation: Mapping[str, npt.NDArray[Any]], **more: object
-    ) -> dict[str, Any]:
+    def _request(self, kind: str, observation: Observation, **more: object) -> dict[str, Any]:
         """Send a message and return the answer; after any error the connection is closed."""
         arrays: dict[str, npt.NDArray[Any]] = {}
         for key, value in observation.items():

@@ -18,6 +18,7 @@ from wcsim.agents.runs.data_folder import (
     MANIFEST,
     SEGMENTS,
     DrivingSegmentKey,
+    Hashes,
     config_to_plain_settings,
     read_data_manifest,
     read_segment,
@@ -68,7 +69,7 @@ class SegmentCrew:
             require_sendable_run(config)
         self._folder = data
         self._scheduler = WorkScheduler(machines.open(logs), self._keep, least_late_s=LEAST_LATE_S)
-        self._sha256: dict[str, str] = {}  # of what has come, by name
+        self._sha256: Hashes = {}  # of what has come, by name
 
     def __enter__(self) -> SegmentCrew:
         self._scheduler.__enter__()
@@ -83,7 +84,7 @@ class SegmentCrew:
             [_work(order) for order in orders if not segment_path_from_name(self._folder, order.key.name).is_file()]
         )
 
-    def take(self, orders: Sequence[SegmentOrder], told: Told) -> dict[str, str]:
+    def take(self, orders: Sequence[SegmentOrder], told: Told) -> Hashes:
         """Wait for these segments; their SHA-256 by file name.
 
         Raises:
@@ -91,7 +92,7 @@ class SegmentCrew:
             PolicyError: The network cannot drive.
             TownError: A town is missing.
         """
-        found: dict[str, str] = {}
+        found: Hashes = {}
         asked = []
         for order in orders:
             name = order.key.name
@@ -211,8 +212,8 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
 
 
 def _collected(order: DataOrder, found: Sequence[Town], told: Callable[[int, int], object]) -> str:
-    kept: dict[str, str] = {}
-    towns: dict[str, str] = {}
+    kept: Hashes = {}
+    towns: Hashes = {}
     if (order.folder / MANIFEST).is_file():
         file = read_data_manifest(order.folder)
         require_same_data_settings(order.folder, file, order.config)

@@ -24,6 +24,7 @@ from wcsim.agents.rounds.drive_segment import SegmentOrder, orders_of, require_r
 from wcsim.agents.runs.checkpoint import (
     STATE,
     Arrays,
+    Log,
     Restore,
     checkpoint_number_from_path,
     format_checkpoint_name,
@@ -38,6 +39,7 @@ from wcsim.agents.runs.data_folder import (
     SEGMENTS,
     DrivingSegment,
     DrivingSegmentKey,
+    Hashes,
     read_data_manifest,
     read_segment,
     require_same_data_settings,
@@ -68,7 +70,7 @@ from wcsim.towns.scenario.town import Town, find_town, open_town, streets_hash
 LEARNED: Final = "learned_data.json"
 
 
-def data_of(run: RunFolder) -> dict[str, dict[str, str]]:
+def data_of(run: RunFolder) -> dict[str, Hashes]:
     """The segments of each data folder that a run learns from, SHA-256 by file name: those that it began with.
 
     Raises:
@@ -137,7 +139,7 @@ def _train_rounds(
     towns: tuple[str, ...],
     machines: WorkerPoolSettings,
     progress: Progress,
-    log: Callable[[str], object],
+    log: Log,
 ) -> str:
     """Do all rounds that are left; the SHA-256 of the weights.
 
@@ -204,9 +206,7 @@ def _train_rounds(
     return hash_network_weights(learner.net)
 
 
-def _drive(
-    workers: SegmentCrew, orders: Sequence[SegmentOrder], now: RoundProgress, progress: Progress
-) -> dict[str, str]:
+def _drive(workers: SegmentCrew, orders: Sequence[SegmentOrder], now: RoundProgress, progress: Progress) -> Hashes:
     return workers.take(orders, lambda segments, drive: progress(replace(now, segments=segments, workers=drive)))
 
 
@@ -214,16 +214,16 @@ def _learn(learner: DangerLearner, dataset: Dataset, updates: int, now: RoundPro
     return learner.learn(dataset, updates, lambda done: progress(replace(now, learned=done)))
 
 
-def _save_round(folder: Path, number: int, learner: DangerLearner, segments: dict[str, str]) -> None:
+def _save_round(folder: Path, number: int, learner: DangerLearner, segments: Hashes) -> None:
     """Save a learner after a round by `write_checkpoint`; `segments` are those that it has learned from."""
     state = {"updates": learner.updates, "loss": learner.loss, "segments": segments}
     write_checkpoint(folder, format_checkpoint_name("round", number), state, learner.arrays())
 
 
-def _restoring(learner: DangerLearner) -> Restore[dict[str, str]]:
+def _restoring(learner: DangerLearner) -> Restore[Hashes]:
     """Brings a learner to where it was after a round, and tells the segments that it had learned from."""
 
-    def restore(_: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> dict[str, str]:
+    def restore(_: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> Hashes:
         said = parse(DangerTrainingCheckpoint, state, STATE)
         sort_segment_names(said.segments)
         learner.restore(arrays, said.updates, said.loss)
@@ -266,7 +266,7 @@ def towns_of(
     config: RunConfig,
     folder: Path,
     seed: int,
-    stage: Callable[[str], object] = lambda told: None,
+    stage: Log = lambda told: None,
 ) -> tuple[str, ...]:
     """Folders or names of all towns, the run's own first.
 
@@ -307,7 +307,7 @@ def train_danger(
     town: Town,
     machines: WorkerPoolSettings = HERE,
     progress: Progress = lambda now: None,
-    stage: Callable[[str], object] = lambda told: None,
+    stage: Log = lambda told: None,
 ) -> Path:
     """Do all rounds and leave a run folder with data/, checkpoints/ and policies/final.
 

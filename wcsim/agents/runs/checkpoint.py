@@ -36,6 +36,8 @@ _FILE: Final = re.compile(rf"[a-z_]+{re.escape(_END)}", re.ASCII)
 
 Arrays = dict[str, np.ndarray]
 T = TypeVar("T")
+Log = Callable[[str], object]
+Alive = Callable[[], object]  # called now and then while something takes long
 Restore = Callable[[int, dict[str, Any], dict[str, Arrays]], T]
 """Restores a learner at a step or round from state and arrays; raises where they do not fit."""
 
@@ -92,7 +94,7 @@ def write_checkpoint(
     name: str,
     state: Mapping[str, Any],
     arrays: Mapping[str, Arrays | _Shared],
-    alive: Callable[[], object] = lambda: None,
+    alive: Alive = lambda: None,
 ) -> Path:
     """Write the checkpoint `folder/name` in one step, and drop all but it and the newest ones.
 
@@ -167,9 +169,7 @@ def _restore_newest(folder: Path, restore: Restore[T]) -> _Restored[T]:
     )
 
 
-def restore_newest_checkpoint(
-    run: RunFolder, restore: Restore[T], log: Callable[[str], object]
-) -> _Restored[T] | None:
+def restore_newest_checkpoint(run: RunFolder, restore: Restore[T], log: Log) -> _Restored[T] | None:
     """Restore a run's newest sound checkpoint, and log skipped ones; None for a run without any.
 
     Skipped ones are set aside: they belong to work that is done again, with another result.

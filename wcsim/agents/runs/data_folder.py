@@ -27,6 +27,8 @@ from wcsim.core.reading import SEGMENT, decompress_zstd, escape, read_bytes, rea
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.types import F32, F64, U8, Bool
 
+Hashes = dict[str, str]  # SHA-256 of files, by name
+
 # What chose an action: the user alone, the blinded oracle, the network, or the user's stick with a
 # random offset.
 FOLLOW, ORACLE, NETWORK, RECKLESS = range(4)
@@ -238,9 +240,7 @@ def read_segment(path: Path, sha256: str = "") -> DrivingSegment:
     return DrivingSegment(**columns)
 
 
-def write_data_manifest(
-    folder: Path, config: RunConfig, towns: dict[str, str], segments: dict[str, str]
-) -> str:
+def write_data_manifest(folder: Path, config: RunConfig, towns: Hashes, segments: Hashes) -> str:
     """Write the folder's settings, its towns with their hashes, and the segments' hashes by name.
 
     Returns:
@@ -322,7 +322,7 @@ def _by_content(dumped: dict[str, Any], plant_sha256: str) -> dict[str, Any]:
     return {**dumped, "chair": {**chair, "plant": plant_sha256}}
 
 
-def hash_segments(segments: dict[str, str]) -> str:
+def hash_segments(segments: Hashes) -> str:
     """SHA-256 over all segments, in any order."""
     return hashlib.sha256(
         "\n".join(f"{name} {segments[name]}" for name in sorted(segments)).encode()

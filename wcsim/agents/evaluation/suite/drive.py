@@ -20,6 +20,7 @@ from wcsim.agents.evaluation.suite.records import (
     REFUSED,
     TIMED_OUT,
     EpisodeRecord,
+    Records,
 )
 from wcsim.agents.opening.list_file import BlockSetup, make_episode_seat_spec
 from wcsim.agents.policy_api import Observation, Policy, Warns
@@ -75,9 +76,7 @@ class Watch(Protocol):
         """An episode has ended; its chair is about to leave the street."""
 
 
-def drive_block(
-    piece: Piece, place: BlockSetup, make_policy: MakePolicy, watch: Watch | None = None
-) -> tuple[EpisodeRecord, ...]:
+def drive_block(piece: Piece, place: BlockSetup, make_policy: MakePolicy, watch: Watch | None = None) -> Records:
     """Drive all episodes of a block, each to its end; records in the order of the block.
 
     With somebody to watch, those alone that have ended when the last of the watched ones has.
@@ -268,7 +267,7 @@ def _record(piece: Piece, seat: int, status: str, reason: str, **more: Any) -> E
     )
 
 
-def refused(piece: Piece, reason: str) -> tuple[EpisodeRecord, ...]:
+def refused(piece: Piece, reason: str) -> Records:
     """The records of a block whose policy cannot be used at all."""
     return tuple(
         _record(piece, seat, REFUSED, reason, route_m=episode.route_m, reference_s=episode.reference_s)

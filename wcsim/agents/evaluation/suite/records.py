@@ -136,6 +136,9 @@ class EpisodeRecord:
         return asdict(self)
 
 
+Records = tuple[EpisodeRecord, ...]
+
+
 def both_counted(
     records: Iterable[EpisodeRecord], others: Iterable[EpisodeRecord]
 ) -> list[tuple[EpisodeRecord, EpisodeRecord]]:

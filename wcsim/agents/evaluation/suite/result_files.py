@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.evaluation.suite.records import SCORE_VERSION, EpisodeRecord, record_of
+from wcsim.agents.evaluation.suite.records import SCORE_VERSION, EpisodeRecord, Records, record_of
 from wcsim.agents.evaluation.suite.rows import ResultRow, pooled_rows
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.core import reading
@@ -34,7 +34,7 @@ class TestResult:
     changed: tuple[str, ...]  # settings, over those of the list
     rows: tuple[ResultRow, ...]  # a policy and a part each
     pooled: tuple[ResultRow, ...]
-    episodes: Mapping[str, tuple[EpisodeRecord, ...]]  # by policy, as in `pooled`
+    episodes: Mapping[str, Records]  # by policy, as in `pooled`
     list_name: str  # of a list that comes with wcsim, or its path
     preset: str
     network: str
@@ -75,7 +75,7 @@ def result_of(episodes: Mapping[str, Sequence[EpisodeRecord]], **said: Any) -> T
     )
 
 
-def read_episodes(folder: Path) -> dict[str, tuple[EpisodeRecord, ...]]:
+def read_episodes(folder: Path) -> dict[str, Records]:
     """The episodes of a finished test, by policy. Raises ConfigError."""
     path = folder / EPISODES
     found = {}
