@@ -47,6 +47,7 @@ from wcsim.agents.runs.data_folder import (
     write_data_manifest,
 )
 from wcsim.agents.runs.metrics import append_round_metrics, require_tensorboard_installed
+from wcsim.agents.runs.policy_file import parse_saved
 from wcsim.agents.runs.run_folder import (
     METRICS,
     ResolvedRun,
@@ -78,10 +79,7 @@ def data_of(run: RunFolder) -> dict[str, Hashes]:
     """
     path = run.path / LEARNED
     if is_file(path):
-        try:
-            return parse(LearnedDataFile, read_json(path, reading.LEARNED), escape(path)).folders
-        except ConfigError as error:
-            raise PolicyError(str(error)) from None
+        return parse_saved(LearnedDataFile, read_json(path, reading.LEARNED), escape(path)).folders
     found = {}
     for folder in resolve_data_folders(run.config)["collect"]["data"]:
         file = read_data_manifest(Path(folder))

@@ -18,13 +18,13 @@ import numpy as np
 import zstandard
 
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
-from wcsim.agents.runs.policy_file import CAMERA_KEYS, SIGHT_KEYS
-from wcsim.config import CameraConfig, ChairConfig, RunConfig, parse
+from wcsim.agents.runs.policy_file import CAMERA_KEYS, SIGHT_KEYS, parse_saved
+from wcsim.config import CameraConfig, ChairConfig, RunConfig
 from wcsim.config.plant import read_own_plant_bytes
 from wcsim.config.run_file import DrivingDataFile
 from wcsim.core import files, reading
 from wcsim.core.reading import SEGMENT, decompress_zstd, escape, read_bytes, read_json
-from wcsim.errors import ConfigError, PolicyError
+from wcsim.errors import PolicyError
 from wcsim.types import F32, F64, U8, Bool
 
 Hashes = dict[str, str]  # SHA-256 of files, by name
@@ -265,12 +265,8 @@ def write_data_manifest(folder: Path, config: RunConfig, towns: Hashes, segments
 
 def read_data_manifest(folder: Path) -> DrivingDataFile:
     """Read `data.json`. Raises PolicyError."""
-    try:
-        return parse(
-            DrivingDataFile, read_json(folder / MANIFEST, reading.DATA), escape(folder / MANIFEST)
-        )
-    except ConfigError as error:
-        raise PolicyError(str(error)) from None
+    path = folder / MANIFEST
+    return parse_saved(DrivingDataFile, read_json(path, reading.DATA), escape(path))
 
 
 def require_same_data_settings(folder: Path, file: DrivingDataFile, config: RunConfig) -> None:

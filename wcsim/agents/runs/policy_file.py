@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal
 
 import wcsim
 from wcsim.agents.policy_api import (
@@ -22,6 +22,7 @@ from wcsim.agents.policy_api import (
     level_of,
 )
 from wcsim.config import RunConfig, parse
+from wcsim.config.load import M
 from wcsim.config.run_file import DangerPolicyFile, QPolicyFile, ShippedPolicyHashes
 from wcsim.core import files
 from wcsim.core.reading import HASHES, POLICY, escape, is_file, is_folder, read_json
@@ -55,17 +56,16 @@ HELD: Final = (
 STAGES: Final = ("phase1", "final")
 _LEVEL: Final = re.compile(r"\d+(\.\d*)?|\.\d+")
 Kind = Literal["baseline", "served", "onnx", "class", "shipped", "folder"]
-File = TypeVar("File", QPolicyFile, DangerPolicyFile)
 
 
 def read_value_policy_file(path: Path) -> QPolicyFile:
     """Read and check `policy.json` of a network that gives values. Raises PolicyError."""
-    return _parsed(QPolicyFile, path)
+    return parse_saved(QPolicyFile, _read(path), escape(path / POLICY_JSON))
 
 
 def read_danger_policy_file(path: Path) -> DangerPolicyFile:
     """Read and check `policy.json` of a danger network. Raises PolicyError."""
-    return _parsed(DangerPolicyFile, path)
+    return parse_saved(DangerPolicyFile, _read(path), escape(path / POLICY_JSON))
 
 
 def read_policy_algorithm(path: Path) -> object:
@@ -73,9 +73,10 @@ def read_policy_algorithm(path: Path) -> object:
     return _read(path).get("algorithm")
 
 
-def _parsed(model: type[File], path: Path) -> File:
+def parse_saved(model: type[M], data: dict[str, Any], where: str) -> M:
+    """`parse` for what a run, a policy or a data folder holds. Raises PolicyError."""
     try:
-        return parse(model, _read(path), escape(path / POLICY_JSON))
+        return parse(model, data, where)
     except ConfigError as error:
         raise PolicyError(str(error)) from None
 
@@ -109,11 +110,8 @@ def find_shipped_policy(place: Path | None = None) -> Path:
             f"this wcsim comes without a policy: {escape(folder)} has no {FILES}; expected one "
             "made by tools/ship_policy.py RUN: name a run of your own"
         )
-    try:
-        file = parse(ShippedPolicyHashes, read_json(folder / FILES, HASHES), escape(folder / FILES))
-    except ConfigError as error:
-        raise PolicyError(str(error)) from None
-    hashes = file.sha256
+    data, where = read_json(folder / FILES, HASHES), escape(folder / FILES)
+    hashes = parse_saved(ShippedPolicyHashes, data, where).sha256
     missing = [name for name in HELD if name not in hashes or not is_file(folder / name)]
     other = [
         name
