@@ -222,7 +222,7 @@ class ChairGroup:
     def __init__(self, spec: StreetEnvSettings, count: int, options: EnvOptions) -> None:
         """So many chairs, each with its own copy of the user's reward terms, which have a state.
 
-        Raises ConfigError for a number of chairs that no world can have.
+        Raises ConfigError for a number of chairs that no world can have, or a seed that is none.
         """
         if not 1 <= count <= MAX_CHAIRS:
             raise ConfigError(f"chairs={count}; expected 1 to {MAX_CHAIRS} in one world")
@@ -230,6 +230,7 @@ class ChairGroup:
         terms = tuple(options.get("reward_terms", ()))
         self.all = [SeatEnvAdapter(spec.config, copy.deepcopy(terms)) for _ in range(count)]
         self._group: SeatLinkGroup | None = None
+        self.first_seed = validate_seed(options.get("seed"))
 
     def __getstate__(self) -> dict[str, Any]:
         """For copies. Raises ProtocolError while there is a world: several have no replay."""
@@ -256,10 +257,10 @@ class ChairGroup:
             frames = self._group.begin_again(seed)
         return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
 
-    def begin_next(self, seed: int | None = None) -> list[tuple[EnvObservation, Info]]:
-        """Begin every chair's next episode, without a tick; `seed` is for the first world."""
-        if self._group is None or not self.open:
-            return self.begin(seed)
+    def begin_next(self, seed: int | None) -> list[tuple[EnvObservation, Info]]:
+        """Begin every chair's next episode: without a tick, but with a seed in a new world."""
+        if seed is not None or self._group is None or not self.open:
+            return self.begin(self.first_seed if seed is None else seed)
         frames = self._group.respawn()
         return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
 

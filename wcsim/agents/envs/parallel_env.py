@@ -50,7 +50,7 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
         """
         spec = make_env_settings(town, options, ("town", "chairs"))
         self._chairs = ChairGroup(spec, chairs, options)
-        self._seed = validate_seed(options.get("seed"))
+        self._seed = self._chairs.first_seed
         self._resets = 0  # since the seed was given, the first of them included
         self.config = spec.config
         self.render_mode = spec.render_mode

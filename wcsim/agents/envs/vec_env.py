@@ -66,14 +66,14 @@ class StreetVecEnv(VecEnv):
         """
         spec = make_env_settings(town, options, ("town", "chairs", "repeat"))
         self._chairs = ChairGroup(spec, chairs, options)
-        self._first_seed = validate_seed(options.get("seed"))
         self._repeat = repeat
         self._waiting = False  # for the result of a step
         self.config = spec.config
         self.render_mode = spec.render_mode
         super().__init__(chairs, spec.observation_space(), spec.action_space())
         if repeat:
-            self.seed(draw_random_seed() if self._first_seed is None else self._first_seed)
+            first_seed = self._chairs.first_seed
+            self.seed(draw_random_seed() if first_seed is None else first_seed)
         # SB3 makes metadata without it.
         self.metadata = {**self.metadata, "render_fps": spec.metadata["render_fps"]}
 
@@ -86,11 +86,7 @@ class StreetVecEnv(VecEnv):
         if self._waiting:
             self.step_wait()
         refuse_reset_options(self._options[0])
-        seed = self._seeds[0]
-        if seed is None:
-            firsts = self._chairs.begin_next(self._first_seed)
-        else:
-            firsts = self._chairs.begin(seed)
+        firsts = self._chairs.begin_next(self._seeds[0])
         if not self._repeat:
             self._reset_seeds()
         self._reset_options()

@@ -68,7 +68,6 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
         self.metadata = {**spec.metadata, "autoreset_mode": self.autoreset_mode}
         self._max_episode_steps = spec.config.env.max_steps
         self._chairs = ChairGroup(spec, num_envs, options)
-        self._first_seed = validate_seed(options.get("seed"))
         self.single_observation_space = spec.observation_space()
         self.single_action_space = spec.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -88,10 +87,7 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
         seed = validate_seed(seed)
         super().reset(seed=seed)
         self.closed = False
-        if seed is None:
-            firsts = self._chairs.begin_next(self._first_seed)
-        else:
-            firsts = self._chairs.begin(seed)
+        firsts = self._chairs.begin_next(seed)
         infos: Info = {}
         for seat, (_, info) in enumerate(firsts):
             infos = self._add_info(infos, info, seat)
