@@ -9,14 +9,13 @@ reward, as the network's values are.
 from __future__ import annotations
 
 import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import FrameType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import torch
@@ -33,6 +32,7 @@ from wcsim.agents.runs.metrics import (
     Value,
     read_metrics,
 )
+from wcsim.core.processes import SignalContextBase
 from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import Events
@@ -209,7 +209,7 @@ class EpisodeMetricsCallback(SeqDqnCallback):
         return int(self.learner.plan.phase(self.num_timesteps - self.learner.n_envs))
 
 
-class StopSignalHandler:
+class StopSignalHandler(SignalContextBase):
     """While open, SIGINT and SIGTERM request a stop; a second signal stops at once.
 
     Only in the main thread. Where a launcher ends this process, no user waits for its end, and a
@@ -219,33 +219,21 @@ class StopSignalHandler:
 
     def __init__(self, wait_no_more: Callable[[], object] | None = None) -> None:
         """`wait_no_more` ends the waiting within a signal's handler; None without a launcher."""
+        ends_waiting = () if wait_no_more is None else (WAIT_NO_MORE,)
+        super().__init__(signal.SIGINT, signal.SIGTERM, *ends_waiting)
         self._wait_no_more = wait_no_more
         # Called by the first signal, within its handler.
         self.on_first_signal: Callable[[], object] = lambda: None
         self.requested = False
         self.forced = False  # by a second signal, which may have cut a step in two
         self.ending = False  # the last files are being written
-        self._handlers_before: dict[int, Any] = {}
 
     def raise_if_requested(self) -> None:
         """Raise KeyboardInterrupt once a stop was requested."""
         if self.requested:
             raise KeyboardInterrupt
 
-    def __enter__(self) -> StopSignalHandler:
-        if threading.current_thread() is threading.main_thread():
-            ends_waiting = () if self._wait_no_more is None else (WAIT_NO_MORE,)
-            for number in (signal.SIGINT, signal.SIGTERM, *ends_waiting):
-                self._handlers_before[number] = signal.signal(number, self._handle)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        for number, handler in self._handlers_before.items():
-            signal.signal(number, handler)
-        self._handlers_before.clear()
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        del frame
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
         again = self.requested or number == WAIT_NO_MORE
         self.requested = True
         if not again:
