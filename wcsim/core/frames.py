@@ -20,6 +20,10 @@ from wcsim.types import F64
 Vec3 = tuple[float, float, float]
 Rotation = tuple[float, float, float, float, float, float, float, float, float]
 Quat = tuple[float, float, float, float]
+deg2rad: Final = math.radians
+"""A configured angle (key `*_deg`) in radians."""
+rad2deg: Final = math.degrees
+"""An angle in degrees, for a file or a person."""
 LEVEL: Final[Rotation] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
@@ -176,13 +180,3 @@ def net_from_world(p_W_m: F64, origin_m: tuple[float, float]) -> F64:
     moved = np.array(p_W_m, dtype=np.float64)
     moved[..., :2] += origin_m
     return moved
-
-
-def deg2rad(angle_deg: float) -> float:
-    """A configured angle (key `*_deg`) in radians."""
-    return math.radians(angle_deg)
-
-
-def rad2deg(angle_rad: float) -> float:
-    """An angle in degrees, for a file or a person."""
-    return math.degrees(angle_rad)
