@@ -110,6 +110,8 @@ class DangerPolicy(HearsSent):
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
     """
 
+    levels = LEVELS
+
     def __init__(
         self, name: str, net: DangerNet, config: RunConfig, rule: DangerRuleSettings, delay_ticks: int | None = None
     ) -> None:
@@ -129,11 +131,6 @@ class DangerPolicy(HearsSent):
     def warning(self) -> bool:
         """Whether the user's own stick is about to end badly, see `next_alarm_state`."""
         return self._alarm.on
-
-    @property
-    def levels(self) -> tuple[float, float]:
-        """Thresholds of danger, see `rule.LEVELS`: the highest assists least."""
-        return LEVELS
 
     @property
     def level(self) -> float:
