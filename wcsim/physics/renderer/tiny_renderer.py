@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.core.closing import ClosingContextBase
-from wcsim.core.frames import Quat, quaternion_from_ypr
+from wcsim.core.frames import quaternion_from_ypr
 from wcsim.errors import PhysicsError
 from wcsim.physics.buffers import Images
 from wcsim.physics.bullet import Bullet, pybullet
@@ -98,14 +98,11 @@ class TinyRenderer(ClosingContextBase):
             )
             for body in pool[taken]:
                 self._instance_of[body] = i
-                self._move(body, instances.p_W_m[i].tolist(), turn)
+                self._bullet.resetBasePositionAndOrientation(body, instances.p_W_m[i].tolist(), turn)
         for model, pool in self._pool.items():
             for bodies in pool[self._used.get(model, 0) :]:
                 for body in bodies:
-                    self._move(body, list(_PARKED_M), (0.0, 0.0, 0.0, 1.0))
-
-    def _move(self, body: int, p_W_m: list[float], q: Quat) -> None:
-        self._bullet.resetBasePositionAndOrientation(body, p_W_m, q)
+                    self._bullet.resetBasePositionAndOrientation(body, list(_PARKED_M), (0.0, 0.0, 0.0, 1.0))
 
     def _actor(self, model: _Model) -> tuple[int, ...]:
         """Bodies of one new actor, one a class, and one a colour of what shines."""
