@@ -10,14 +10,7 @@ from typing import Unpack
 import gymnasium
 import numpy as np
 
-from wcsim.agents.envs.env_spec import (
-    ChairGroup,
-    EnvOptions,
-    draw_random_seed,
-    make_env_settings,
-    refuse_reset_options,
-    validate_seed,
-)
+from wcsim.agents.envs import env_spec
 from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.core import seeding
 from wcsim.errors import ProtocolError, check_installed
@@ -34,7 +27,7 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
     """Several wheelchairs in one town, for PettingZoo."""
 
     def __init__(
-        self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]
+        self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[env_spec.EnvOptions]
     ) -> None:
         """Describe the environment; the world is made by the first reset.
 
@@ -48,8 +41,8 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        spec = make_env_settings(town, options, ("town", "chairs"))
-        self._chairs = ChairGroup(spec, chairs, options)
+        spec = env_spec.make_env_settings(town, options, ("town", "chairs"))
+        self._chairs = env_spec.ChairGroup(spec, chairs, options)
         self._seed = self._chairs.first_seed
         self._resets = 0  # since the seed was given, the first of them included
         self.config = spec.config
@@ -81,13 +74,13 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
             TownError: The town cannot be used.
         """
         # PettingZoo's own tests give the option "options".
-        refuse_reset_options(name for name in options or () if name != "options")
-        seed = validate_seed(seed)
+        env_spec.refuse_reset_options(name for name in options or () if name != "options")
+        seed = env_spec.validate_seed(seed)
         if seed is not None:
             self._seed = seed
             self._resets = 0
         elif self._seed is None:
-            self._seed = draw_random_seed()
+            self._seed = env_spec.draw_random_seed()
         self._resets += 1
         if self._resets == 1:
             seed = self._seed
