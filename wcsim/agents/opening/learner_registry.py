@@ -319,9 +319,7 @@ class _DangerRounds(Learner):
         from wcsim.agents.danger.policy import DangerPolicy, load_net
         from wcsim.agents.export.policy_graphs import DangerPolicyGraph
 
-        net, rule = load_net(folder)
-        if level is not None:
-            rule = rule.model_copy(update={"threshold": level})
+        net, rule = load_net(folder, level)
         return DangerPolicyGraph(net, config, rule), DangerPolicy("own", net, config, rule)
 
 
