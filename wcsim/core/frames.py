@@ -170,13 +170,13 @@ def forward_vector(yaw_rad: float, pitch_rad: float) -> F64:
 
 def world_from_net(p_net_m: F64, origin_m: tuple[float, float]) -> F64:
     """Net coordinates (..., 2 or 3) as W coordinates, which are relative to the town's origin."""
-    moved = np.array(p_net_m, dtype=np.float64)
+    moved = np.array(p_net_m, np.float64)
     moved[..., :2] -= origin_m
     return moved
 
 
 def net_from_world(p_W_m: F64, origin_m: tuple[float, float]) -> F64:
     """The inverse of `world_from_net`."""
-    moved = np.array(p_W_m, dtype=np.float64)
+    moved = np.array(p_W_m, np.float64)
     moved[..., :2] += origin_m
     return moved

@@ -232,7 +232,7 @@ def encode_depth(depth_m: F32, range_m: float) -> U8:
     """
     # The leading bits of a float32 are a logarithm already: a table over them is many times faster
     # than np.log.
-    bits = np.ascontiguousarray(depth_m, dtype=np.float32).view(np.uint32)
+    bits = np.ascontiguousarray(depth_m, np.float32).view(np.uint32)
     code = np.empty(bits.shape, np.uint8)
     _look_up(bits.reshape(-1), _depth_codes(float(range_m)), code.reshape(-1))
     return code
@@ -291,7 +291,7 @@ def _planes(fold: bool) -> F32:
     table = make_class_palette()
     if fold:
         table = table[make_cityscapes_class_table()]
-    return np.ascontiguousarray(table.T, dtype=np.float32) / np.float32(255.0)
+    return np.ascontiguousarray(table.T, np.float32) / np.float32(255.0)
 
 
 def _frame(sensors: SensorFrame, name: str) -> CameraFrame:

@@ -275,7 +275,7 @@ class ChairGroup:
         Raises ProtocolError for another number of them, BadActionError for a wrong one; then
         nothing has moved.
         """
-        rows = np.asarray(actions, dtype=object)
+        rows = np.asarray(actions, object)
         rows = np.atleast_1d(rows) if self.spec.config.env.actions == "stick" else rows.reshape(-1)
         if len(rows) != len(self.all):
             raise ProtocolError(

@@ -114,7 +114,7 @@ class StreetVecEnv(VecEnv):
                 observation, self.reset_infos[seat] = first
             observations.append(observation)
             infos.append(info)
-        rewards = np.array([step.reward for step, _ in steps], dtype=np.float32)
+        rewards = np.array([step.reward for step, _ in steps], np.float32)
         return (
             env_spec.stack_observations(observations),
             rewards,

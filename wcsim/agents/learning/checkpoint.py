@@ -211,22 +211,22 @@ def _replay_arrays(replay: FrameReplay, alive: Alive = lambda: None) -> Arrays:
     arrays: Arrays = {name: getattr(replay, name)[rows] for name in _per_step(replay)}
     groups = replay.groups
     if groups is not None:
-        states = np.array(list(groups.states.values()), dtype=np.float32)
-        arrays["state_at"] = np.array(list(groups.states), dtype=np.int64).reshape(-1, 2)
+        states = np.array(list(groups.states.values()), np.float32)
+        arrays["state_at"] = np.array(list(groups.states), np.int64).reshape(-1, 2)
         arrays["states"] = states.reshape(len(groups.states), groups.state_size)
-    arrays["total"] = np.array([replay.total, size], dtype=np.int64)
-    arrays["frames"] = np.frombuffer(b"".join(blobs), dtype=np.uint8)
-    arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], dtype=np.int64)
+    arrays["total"] = np.array([replay.total, size], np.int64)
+    arrays["frames"] = np.frombuffer(b"".join(blobs), np.uint8)
+    arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], np.int64)
     # 3. Observations after ends of chains.
-    empty_image = np.zeros((0, replay.layout.image_bytes), dtype=np.uint8)
-    empty_vector = np.zeros((0, replay.layout.vector_size), dtype=np.float32)
+    empty_image = np.zeros((0, replay.layout.image_bytes), np.uint8)
+    empty_vector = np.zeros((0, replay.layout.vector_size), np.float32)
     ends = sorted(replay.after_end)
     after = [replay.observation_after_end(*key) for key in ends]
-    arrays["end_at"] = np.array(ends, dtype=np.int64).reshape(-1, 2)
+    arrays["end_at"] = np.array(ends, np.int64).reshape(-1, 2)
     arrays["end_images"] = np.stack([image for image, _ in after]) if ends else empty_image
     arrays["end_vectors"] = np.stack([vector for _, vector in after]) if ends else empty_vector
     # 4. Windows that do not follow from the frames, and the observations that come next.
-    arrays["whole_at"] = np.array(_whole_windows(replay), dtype=np.int64).reshape(-1, 2)
+    arrays["whole_at"] = np.array(_whole_windows(replay), np.int64).reshape(-1, 2)
     arrays["whole_images"] = replay.windows.read(*arrays["whole_at"].T)
     arrays["next_images"], arrays["next_vectors"] = replay.expected or (empty_image, empty_vector)
     return {key: np.ascontiguousarray(value) for key, value in arrays.items()}

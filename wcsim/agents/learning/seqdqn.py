@@ -103,7 +103,7 @@ class SeqDQN(DQN):
         self.rng = seeding.make_rng(0 if seed is None else seed, "agent", "explore")
         self._offsets: F64 = np.zeros((0, 2))  # (N, 2) explored by each seat
         # (N,) steps for which they are still held
-        self._held: I64 = np.zeros(0, dtype=np.int64)
+        self._held: I64 = np.zeros(0, np.int64)
         # What the network carries from step to step, of every seat: before the next step (None
         # where all episodes start) and after it.
         self._carried: States | None = None
@@ -148,7 +148,7 @@ class SeqDQN(DQN):
         if deterministic or not isinstance(observation, dict):
             return actions, state
         self._greedy = np.atleast_1d(actions)
-        sticks = np.asarray(observation[JOYSTICK_KEY], dtype=np.float64).reshape(-1, 2)
+        sticks = np.asarray(observation[JOYSTICK_KEY], np.float64).reshape(-1, 2)
         explores = self._draw_explorers(len(sticks))
         if self.settings.exploration == "uniform":
             drawn = self.rng.integers(0, len(self.action_points), len(sticks))
@@ -164,7 +164,7 @@ class SeqDQN(DQN):
         """
         hold = self.settings.epsilon_hold
         if len(self._held) != seats:
-            self._held = np.zeros(seats, dtype=np.int64)
+            self._held = np.zeros(seats, np.int64)
             self._offsets = np.zeros((seats, 2))
         rate = self.exploration_rate / (hold - (hold - 1) * self.exploration_rate)
         starts = (self._held == 0) & (self.rng.random(seats) < rate)
@@ -207,7 +207,7 @@ class SeqDQN(DQN):
             groups.next_states = self._carried[0]
         super()._store_transition(replay_buffer, *step)
         if self._next is not None:
-            dones = np.asarray(step[3], dtype=bool)[:, None]
+            dones = np.asarray(step[3], bool)[:, None]
             self._carried = tuple(
                 np.where(dones, 0.0, part).astype(part.dtype) for part in self._next
             )

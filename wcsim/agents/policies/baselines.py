@@ -106,7 +106,7 @@ class _CorridorWatch:
 
     def __init__(self, camera: CameraConfig, chair: ChairConfig, outline: Outline) -> None:
         self._rays = viewing_rays(camera)
-        self._eye_B_m = np.array(camera.p_BC_m, dtype=np.float64)  # (3,)
+        self._eye_B_m = np.array(camera.p_BC_m, np.float64)  # (3,)
         self._range_m = camera.range_m
         self._chair = chair
         self._outline = outline
@@ -181,7 +181,7 @@ def _in_corridor(
     # On a tight arc the footplate swings wide of the axle's path, so the straight box ahead of the
     # chair counts too.
     box = (np.abs(y) < half) & (x > 0.0) & (x < outline.front_x_m + CLEAR_M)
-    return np.asarray(box | ((aside < half) & (angle > 0.0) & (along < reach_m)), dtype=np.bool_)
+    return np.asarray(box | ((aside < half) & (angle > 0.0) & (along < reach_m)), np.bool_)
 
 
 @dataclass(slots=True, kw_only=True)

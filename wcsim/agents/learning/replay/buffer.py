@@ -102,19 +102,19 @@ class FrameReplay(ReplayBuffer):
             rows, n_envs, layout.window, layout.frame_bytes, layout.depth_bytes
         )
         self._end_codec = BlobCodec(layout.image_bytes, 0)
-        self.vectors = np.zeros((rows, n_envs, layout.vector_size), dtype=np.float32)
-        self.actions = np.zeros((rows, n_envs), dtype=np.int64)
-        self.rewards = np.zeros((rows, n_envs), dtype=np.float32)
-        self.ended = np.zeros((rows, n_envs), dtype=bool)
-        self.terminated = np.zeros((rows, n_envs), dtype=bool)
+        self.vectors = np.zeros((rows, n_envs, layout.vector_size), np.float32)
+        self.actions = np.zeros((rows, n_envs), np.int64)
+        self.rewards = np.zeros((rows, n_envs), np.float32)
+        self.ended = np.zeros((rows, n_envs), bool)
+        self.terminated = np.zeros((rows, n_envs), bool)
         # Steps since the start of the chain.
-        self.episode_step = np.zeros((rows, n_envs), dtype=np.int64)
+        self.episode_step = np.zeros((rows, n_envs), np.int64)
         self.advised = settings.aid == "oracle"
         self._action_count = int(action_space.n) if isinstance(action_space, spaces.Discrete) else 0
         # 1 where safe, packed
         advice_bytes = (self._action_count + 7) // 8
-        self.advice_bits = np.zeros((rows, n_envs, advice_bytes), dtype=np.uint8)
-        self.advice_known = np.zeros((rows, n_envs), dtype=bool)
+        self.advice_bits = np.zeros((rows, n_envs, advice_bytes), np.uint8)
+        self.advice_known = np.zeros((rows, n_envs), bool)
         self.reset()
 
     def reset(self) -> None:
@@ -169,7 +169,7 @@ class FrameReplay(ReplayBuffer):
         self._forget(self.total - self.buffer_size)
         # 3. The observation, and where in its chain it is.
         previous = (row - 1) % self.buffer_size
-        starts = self.ended[previous] if self.total > 0 else np.ones(self.n_envs, dtype=bool)
+        starts = self.ended[previous] if self.total > 0 else np.ones(self.n_envs, bool)
         self.windows.write(self.total, images, starts)
         self.vectors[row] = vectors
         self.episode_step[row] = np.where(starts, 0, self.episode_step[previous] + 1)
@@ -181,9 +181,9 @@ class FrameReplay(ReplayBuffer):
         # 5. The action and its outcome.
         self.actions[row] = np.asarray(action).reshape(self.n_envs)
         self.rewards[row] = reward
-        self.ended[row] = np.asarray(done, dtype=bool)
+        self.ended[row] = np.asarray(done, bool)
         timeouts = [bool(info.get("TimeLimit.truncated", False)) for info in infos]
-        self.terminated[row] = self.ended[row] & ~np.array(timeouts, dtype=bool)
+        self.terminated[row] = self.ended[row] & ~np.array(timeouts, bool)
         # 6. The observation after it is the next row, but for seats whose episode ends here.
         self.expected = (self.layout.image_rows(next_obs), self.layout.vector_rows(next_obs))
         for seat in np.flatnonzero(self.ended[row]).tolist():
@@ -296,10 +296,10 @@ class FrameReplay(ReplayBuffer):
 
     def chains(self, starts: I64, seats: I64) -> _Chains:
         """Follow each start for up to n steps, to the end of its chain or the newest known row."""
-        returns = np.zeros(len(starts), dtype=np.float64)
-        discounts = np.ones(len(starts), dtype=np.float64)
+        returns = np.zeros(len(starts), np.float64)
+        discounts = np.ones(len(starts), np.float64)
         last = starts.copy()
-        alive = np.ones(len(starts), dtype=bool)
+        alive = np.ones(len(starts), bool)
         for step in range(self.n_step):
             index = starts + step
             rows = index % self.buffer_size
@@ -358,7 +358,7 @@ class FrameReplay(ReplayBuffer):
             truth = None if is_start or not self._next_truths else self._next_truths[seat]
             self.advice_known[row, seat] = truth is not None
             if truth is not None:
-                safe = np.asarray(truth.safe_actions, dtype=bool)
+                safe = np.asarray(truth.safe_actions, bool)
                 self.advice_bits[row, seat] = np.packbits(safe)
                 self.list_advice(self.total, seat, some_unsafe=not safe.all())
         self._next_truths = [
@@ -453,10 +453,9 @@ class _ObservationLayout:
         """Images of a batch side by side, (N, image_bytes)."""
         count, frames = len(next(iter(batch.values()))), self.window
         if not self.images:
-            return np.zeros((count, 0), dtype=np.uint8)
+            return np.zeros((count, 0), np.uint8)
         parts = [
-            np.asarray(batch[key], dtype=self._dtype).reshape(count, frames, -1)
-            for key, _ in self.images
+            np.asarray(batch[key], self._dtype).reshape(count, frames, -1) for key, _ in self.images
         ]
         # As bytes: the stores behind it know no floats, and the same bits come back.
         return np.concatenate(parts, axis=2).reshape(count, -1).view(np.uint8)
@@ -465,10 +464,8 @@ class _ObservationLayout:
         """Vectors of a batch side by side, (N, vector_size)."""
         count = len(next(iter(batch.values())))
         if not self.vectors:
-            return np.zeros((count, 0), dtype=np.float32)
-        parts = [
-            np.asarray(batch[key], dtype=np.float32).reshape(count, -1) for key, _ in self.vectors
-        ]
+            return np.zeros((count, 0), np.float32)
+        parts = [np.asarray(batch[key], np.float32).reshape(count, -1) for key, _ in self.vectors]
         return np.concatenate(parts, axis=1)
 
     def split(self, images: U8, vectors: F32) -> Observation:

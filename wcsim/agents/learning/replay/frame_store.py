@@ -65,7 +65,7 @@ class BlobCodec:
         first = _LENGTHS.size + hole_bytes
         stop = first + smooth_bytes
         steps = self._part(blob[first:stop], self._smooth)
-        frame = np.zeros(self._size, dtype=np.uint8)
+        frame = np.zeros(self._size, np.uint8)
         frame[self._smooth :] = self._part(blob[stop:], self._size - self._smooth)
         if hole_bytes:
             bits = self._part(blob[_LENGTHS.size : first], -(-self._smooth // 8))
@@ -89,9 +89,9 @@ class WindowStore:
         # The oldest window's older frames belong to steps before it.
         self._rows = steps + frames - 1
         self.frames = _frame_store(self._rows, seats, size, smooth)
-        self._chain_step = np.zeros((self._rows, seats), dtype=np.int64)  # since the chain's start
+        self._chain_step = np.zeros((self._rows, seats), np.int64)  # since the chain's start
         # The last windows, as they would be read.
-        self._last = np.zeros((seats, frames * size), dtype=np.uint8)
+        self._last = np.zeros((seats, frames * size), np.uint8)
         self.reset()
 
     def reset(self) -> None:
@@ -154,7 +154,7 @@ class _RawFrames:
     """Frames of the last steps by (absolute index, seat): flat uint8 arrays of `size` bytes."""
 
     def __init__(self, rows: int, seats: int, size: int) -> None:
-        self._frames = np.zeros((rows, seats, size), dtype=np.uint8)
+        self._frames = np.zeros((rows, seats, size), np.uint8)
 
     def write(self, index: int, seat: int, frame: U8) -> None:
         """Store a frame (size,) of the next step."""
@@ -178,7 +178,7 @@ class _PackedFrames:
 
     def read(self, index: I64, seats: I64) -> U8:
         """Copies of frames, (K, size); a place never written reads as zeros."""
-        out = np.zeros((len(index), self._size), dtype=np.uint8)
+        out = np.zeros((len(index), self._size), np.uint8)
         for k, (row, seat) in enumerate(zip(index % len(self._blobs), seats, strict=True)):
             blob = self._blobs[row][seat]
             if blob:

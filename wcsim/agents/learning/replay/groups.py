@@ -147,7 +147,7 @@ class Groups:
     def stored_states(self, memory: FrameReplay, index: I64, seats: I64) -> tuple[F32, I64]:
         """States (K, S) at the start of the burn-in of these groups, and its steps (K,)."""
         steps = self._burned(memory, index, seats)
-        states = np.zeros((len(index), self.state_size), dtype=np.float32)
+        states = np.zeros((len(index), self.state_size), np.float32)
         for k, key in enumerate(zip((index - steps).tolist(), seats.tolist(), strict=True)):
             # None is stored where an episode starts.
             states[k] = self.states.get(key, 0.0)
@@ -168,8 +168,8 @@ def _observations(memory: FrameReplay, index: I64, seats: I64, last: I64) -> Ten
     # Those after the end of an episode are stored beside the ring.
     ended = memory.ended[(steps - 1) % memory.buffer_size, seat]
     beyond = ended & (needed[:, 1] > 0)
-    images = np.zeros((len(index), len(places), memory.layout.image_bytes), dtype=np.uint8)
-    vectors = np.zeros((len(index), len(places), memory.layout.vector_size), dtype=np.float32)
+    images = np.zeros((len(index), len(places), memory.layout.image_bytes), np.uint8)
+    vectors = np.zeros((len(index), len(places), memory.layout.vector_size), np.float32)
     (row, place), inside = needed[~beyond].T, ~beyond
     images[row, place] = memory.windows.read(steps[inside], seat[inside])
     vectors[row, place] = memory.vectors[steps[inside] % memory.buffer_size, seat[inside]]
