@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -105,7 +105,7 @@ class StaticChair:
     def without(self, prefix: str) -> StaticChair:
         """The same chair without the feet whose names begin so."""
         feet = tuple(foot for foot in self.feet if not foot.name.startswith(prefix))
-        return StaticChair(mass_kg=self.mass_kg, com_m=self.com_m, feet=feet)
+        return replace(self, feet=feet)
 
 
 def make_static_chair(spec: PlantSpec, swivel_rad: float = 0.0) -> StaticChair:

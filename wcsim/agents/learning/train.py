@@ -63,7 +63,7 @@ _now_s = time.monotonic
 def train_dqn(
     run: ResolvedRun,
     make_env: MakeEnv,
-    progress: Progress | None = None,
+    progress: Progress = lambda now: None,
     *,
     progress_every: int = PROGRESS_EVERY,
     callbacks: Sequence[BaseCallback] = (),
@@ -173,7 +173,7 @@ class _Session(SeqDqnCallback):
         before: QTrainingProgress | None,
         resume: bool,
         stop: StopSignalHandler,
-        progress: Progress | None,
+        progress: Progress,
         progress_every: int,
         alive: Alive,
     ) -> None:
@@ -349,8 +349,6 @@ class _Session(SeqDqnCallback):
         self._folder.event(status, step=step)
 
     def _report_progress(self) -> None:
-        if self._progress is None:
-            return
         self._progress(
             TrainProgress(
                 step=self.learner.num_timesteps,

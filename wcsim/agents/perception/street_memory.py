@@ -121,31 +121,21 @@ def _fill_raster(
         y = eye[1] + depth * rays[i, 1]
         z = eye[2] + depth * rays[i, 2]
         level = up[0] * x + up[1] * y + up[2] * z
-        away = math.hypot(x, y)
-        if max(z, level) < -DROP_M - DROP_PER_M * away:
+        falls = max(z, level) < -DROP_M - DROP_PER_M * math.hypot(x, y)
+        if falls:
             # A drop starts where the ray should have met the ground.
             fall = eye[2] / max(eye[2] - z, 1e-6)
             x, y = eye[0] + fall * (x - eye[0]), eye[1] + fall * (y - eye[1])
-            row = math.floor(x / CELL_M) + AXLE_ROW
-            column = math.floor((y + REACH_M) / CELL_M)
-            if (
-                0 <= row < ROWS
-                and 0 <= column < COLUMNS
-                and not dropped[row, column]
-                and count < len(points)
-            ):
+        row = math.floor(x / CELL_M) + AXLE_ROW
+        column = math.floor((y + REACH_M) / CELL_M)
+        if not (0 <= row < ROWS and 0 <= column < COLUMNS):
+            continue
+        if falls:
+            if not dropped[row, column] and count < len(points):
                 dropped[row, column] = True
                 points[count, 0], points[count, 1] = x, y
                 count += 1
-            continue
-        row = math.floor(x / CELL_M) + AXLE_ROW
-        column = math.floor((y + REACH_M) / CELL_M)
-        if (
-            depth < farthest_m
-            and 0 <= row < ROWS
-            and 0 <= column < COLUMNS
-            and min(z, level) < HEAD_M
-        ):
+        elif depth < farthest_m and min(z, level) < HEAD_M:
             low[row, column] = min(low[row, column], z)
             high[row, column] = max(high[row, column], z)
     return count
