@@ -7,8 +7,8 @@ the street, until the next `reset` makes a new world with all chairs. All act in
 from collections.abc import Mapping
 from typing import Unpack
 
-import gymnasium
 import numpy as np
+from gymnasium import spaces
 
 from wcsim.agents.envs import env_spec
 from wcsim.agents.envs.episode_view import EnvObservation, Info
@@ -48,7 +48,7 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
         self.config = spec.config
         self.render_mode = spec.render_mode
         self.metadata = {**spec.metadata, "is_parallelizable": True}
-        self.state_space = gymnasium.spaces.Box(-1e6, 1e6, (15 * chairs,), np.float64)
+        self.state_space = spaces.Box(-1e6, 1e6, (15 * chairs,), np.float64)
         self.possible_agents = [f"chair_{seat}" for seat in range(chairs)]
         self.agents: list[str] = []
         self._observation_spaces = {
@@ -56,11 +56,11 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
         }
         self._action_spaces = {agent: spec.action_space() for agent in self.possible_agents}
 
-    def observation_space(self, agent: str) -> gymnasium.spaces.Dict | gymnasium.spaces.Box:
+    def observation_space(self, agent: str) -> spaces.Dict | spaces.Box:
         """The space of an agent's observations; the same object each time."""
         return self._observation_spaces[agent]
 
-    def action_space(self, agent: str) -> gymnasium.spaces.Discrete | gymnasium.spaces.Box:
+    def action_space(self, agent: str) -> spaces.Discrete | spaces.Box:
         """The space of an agent's actions; the same object each time."""
         return self._action_spaces[agent]
 

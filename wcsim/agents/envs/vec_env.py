@@ -78,7 +78,7 @@ class StreetVecEnv(VecEnv):
         if self._waiting:
             self.step_wait()
         env_spec.refuse_reset_options(self._options[0])
-        firsts = self._chairs.begin_next(self._seeds[0])
+        firsts = self._chairs.begin(self._seeds[0])
         if not self._repeat:
             self._reset_seeds()
         self._reset_options()

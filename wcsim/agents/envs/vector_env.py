@@ -78,7 +78,7 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
         seed = env_spec.validate_seed(seed)
         super().reset(seed=seed)
         self.closed = False
-        firsts = self._chairs.begin_next(seed)
+        firsts = self._chairs.begin(seed)
         infos: Info = {}
         for seat, (_, info) in enumerate(firsts):
             infos = self._add_info(infos, info, seat)
