@@ -11,12 +11,14 @@ import torch
 from gymnasium import spaces
 from torch import Tensor, nn
 
+from wcsim.agents.envs.episode_view import window_observation_space
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import preferred_window_size
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config.run_file import NetSpec
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import make_observation_space
 
 LIMIT_MS: Final = 100.0  # for a decision: a tick of the paper
 # Of it, for the network that makes the classes of a real camera's pictures.
@@ -50,17 +52,9 @@ def measure_network_cost(
     """Measure a network on one core of this machine. Raises PolicyError for an unknown name."""
     # 1. The network, and an observation for it.
     window = preferred_window_size(name)
-    image = spaces.Box(0, 255, (window, height_px, width_px), np.uint8)
-    vectors = {
-        key: spaces.Box(-1.0, 1.0, (size,), np.float32)
-        for key, size in ((IMU_KEY, 5), (JOYSTICK_KEY, 2))
-    }
+    space = window_observation_space(make_observation_space("compact", width_px, height_px), window)
     actions = spaces.Discrete(len(action_set("square81")))
-    net = QNet(
-        spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, **vectors}),
-        actions,
-        NetSpec(network=name),
-    )
+    net = QNet(space, actions, NetSpec(network=name))
     net.set_training_mode(False)
     seen = {
         CLASS_KEY: torch.full((1, window, height_px, width_px), 7, dtype=torch.uint8),
