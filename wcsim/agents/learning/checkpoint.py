@@ -229,7 +229,7 @@ def _replay_arrays(replay: FrameReplay, alive: Alive = lambda: None) -> Arrays:
     arrays["whole_at"] = np.array(_whole_windows(replay), np.int64).reshape(-1, 2)
     arrays["whole_images"] = replay.windows.read(*arrays["whole_at"].T)
     arrays["next_images"], arrays["next_vectors"] = replay.expected or (empty_image, empty_vector)
-    return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
+    return arrays
 
 
 def _whole_windows(replay: FrameReplay) -> list[tuple[int, int]]:

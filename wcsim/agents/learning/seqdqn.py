@@ -420,11 +420,12 @@ def _sequence_loss(
         target = _group_values(nets[1], batch)
     goals = _group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
     length = batch.live.shape[1]
-    values = online[:, :length][batch.live[:, : online.shape[1]]]  # (N, A)
+    live = batch.live[:, : online.shape[1]]
+    values = online[:, :length][live]  # (N, A)
     chosen = values.gather(1, batch.actions[batch.live][:, None])[:, 0]
     loss = functional.smooth_l1_loss(chosen, goals)
     if supervised is not None:
-        sticks = batch.observations[JOYSTICK_KEY][:, :length][batch.live[:, : online.shape[1]]]
+        sticks = batch.observations[JOYSTICK_KEY][:, :length][live]
         loss = loss + supervised(values, {JOYSTICK_KEY: sticks})
     return loss, float(values.detach().abs().max())
 
