@@ -29,6 +29,7 @@ from wcsim.errors import ConfigError, FileError, JournalError, PolicyError, Town
 if TYPE_CHECKING:
     import zstandard
 
+JsonObject = dict[str, Any]  # or a TOML table
 # In a record; sound ones have up to 6 kB, and decoding takes 60 times as much memory.
 MOST_JSON_BYTES: Final = 1 << 20
 MOST_MEMORY_BYTES: Final = 120 << 20  # that reading a text may take, with all that is made of it
@@ -207,19 +208,19 @@ def read_lines(path: Path, kind: FileSpec) -> Iterator[str]:
             raise _unreadable(path, kind, error) from None
 
 
-def read_json(path: Path, kind: FileSpec) -> dict[str, Any]:
+def read_json(path: Path, kind: FileSpec) -> JsonObject:
     """A JSON object from a file. Raises FileError, of the kind's class."""
     return parse_json(read_text(path, kind, _JSON_COSTS), escape(path), kind, kind.limit_bytes)
 
 
-def read_toml(path: Path, kind: FileSpec) -> dict[str, Any]:
+def read_toml(path: Path, kind: FileSpec) -> JsonObject:
     """The table of a TOML file. Raises FileError, of the kind's class."""
     return parse_toml(read_text(path, kind), escape(path), kind)
 
 
 def parse_json(
     text: str, where: str, kind: FileSpec, most_bytes: int = MOST_JSON_BYTES
-) -> dict[str, Any]:
+) -> JsonObject:
     """JSON text as an object; a key must not occur twice, as readers differ in which one counts.
 
     Raises:
@@ -244,7 +245,7 @@ def parse_json(
     return data
 
 
-def parse_toml(text: str, where: str, kind: FileSpec) -> dict[str, Any]:
+def parse_toml(text: str, where: str, kind: FileSpec) -> JsonObject:
     """TOML text as a table. Raises FileError, of the kind's class, beginning with `where`."""
     if _DOTTED.search(text):
         raise kind.error(
@@ -375,7 +376,7 @@ def escape_repr(value: object, most: int = 60) -> str:
         return f"a very large {type(value).__name__}"
 
 
-def read_module_toml(module: str | Path) -> dict[str, Any]:
+def read_module_toml(module: str | Path) -> JsonObject:
     """The TOML file beside a module of wcsim, of the same name; `module` is its `__file__`."""
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
 
@@ -443,7 +444,7 @@ def _require_plain(value: Any, where: str, name: object, kind: FileSpec) -> None
         raise kind.error(f"{where}: {escape(name, 40)} {fault}")
 
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique(pairs: list[tuple[str, Any]]) -> JsonObject:
     data = dict(pairs)
     if len(data) < len(pairs):
         seen = set[str]()

@@ -20,7 +20,7 @@ import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 from wcsim.agents.runs.policy_file import parse_saved
 from wcsim.agents.runs.run_folder import (
@@ -37,7 +37,7 @@ from wcsim.config import RunConfig, resolve
 from wcsim.config.load import Layer
 from wcsim.core import files, seeding
 from wcsim.core.own_folder import world_endpoint_from_folder
-from wcsim.core.reading import CLAIM, read_text
+from wcsim.core.reading import CLAIM, JsonObject, read_text
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.log.reader import iter_journal_inputs, list_log_parts
 from wcsim.log.records import Ticked
@@ -351,7 +351,7 @@ def _write_manifest(folder: GroupRunFolder, next_sha256: Mapping[str, str] | Non
     files.write_json_with_checksum(folder.path / MANIFEST, data)
 
 
-def _check_sealed(path: Path, data: dict[str, Any]) -> None:
+def _check_sealed(path: Path, data: JsonObject) -> None:
     """Take seal and hashes out of a manifest, and check them; one of an older version has none.
 
     Raises:
@@ -368,7 +368,7 @@ def _check_sealed(path: Path, data: dict[str, Any]) -> None:
             raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
 
 
-def _own_manifest(run: Path) -> dict[str, Any]:
+def _own_manifest(run: Path) -> JsonObject:
     """What a client's folder says of itself; nothing before it has begun."""
     return read_run_json(run, MANIFEST) if (run / MANIFEST).is_file() else {}
 

@@ -29,7 +29,7 @@ from wcsim.agents.runs.checkpoint import (
 from wcsim.agents.runs.weights import validate_tensors
 from wcsim.config import parse
 from wcsim.config.run_file import QTrainingCheckpoint, QTrainingProgress
-from wcsim.core.reading import decompress_zstd
+from wcsim.core.reading import JsonObject, decompress_zstd
 from wcsim.errors import PolicyError
 from wcsim.types import I64
 
@@ -79,7 +79,7 @@ def make_checkpoint_restorer(model: SeqDQN, alive: Alive) -> Restore[QTrainingPr
     called now and then.
     """
 
-    def restore(step: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> QTrainingProgress:
+    def restore(step: int, state: JsonObject, arrays: dict[str, Arrays]) -> QTrainingProgress:
         memory, optimizer = model.replay_buffer, model.policy.optimizer
         # 1. Counters and the memory are checked before the learner is touched.
         file = parse(QTrainingCheckpoint, state, STATE)
@@ -109,7 +109,7 @@ def make_checkpoint_restorer(model: SeqDQN, alive: Alive) -> Restore[QTrainingPr
     return restore
 
 
-def _generator_state(rng: np.random.Generator) -> dict[str, Any]:
+def _generator_state(rng: np.random.Generator) -> JsonObject:
     """The state of a Philox generator as plain values."""
     state = dict(rng.bit_generator.state)
     del state["bit_generator"]
@@ -120,7 +120,7 @@ def _generator_state(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def _restored_generator(state: dict[str, Any]) -> np.random.Generator:
+def _restored_generator(state: JsonObject) -> np.random.Generator:
     """The generator that `_generator_state` described."""
     bits = np.random.Philox()
     counter, key, buffer = (

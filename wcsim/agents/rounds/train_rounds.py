@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copytree
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import torch
@@ -60,7 +60,7 @@ from wcsim.agents.runs.weights import hash_network_weights
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import DangerRuleSettings, DangerTrainingCheckpoint, LearnedDataFile
 from wcsim.core import files, reading, seeding
-from wcsim.core.reading import escape, is_file, read_json
+from wcsim.core.reading import JsonObject, escape, is_file, read_json
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
 from wcsim.server.workers.machines import HERE, WorkerPoolSettings
 from wcsim.server.workers.scheduler import WorkerStatus
@@ -221,7 +221,7 @@ def _save_round(folder: Path, number: int, learner: DangerLearner, segments: Has
 def _restoring(learner: DangerLearner) -> Restore[Hashes]:
     """Brings a learner to where it was after a round, and tells the segments that it had learned from."""
 
-    def restore(_: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> Hashes:
+    def restore(_: int, state: JsonObject, arrays: dict[str, Arrays]) -> Hashes:
         said = parse(DangerTrainingCheckpoint, state, STATE)
         sort_segment_names(said.segments)
         learner.restore(arrays, said.updates, said.loss)

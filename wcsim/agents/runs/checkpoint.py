@@ -21,7 +21,7 @@ from safetensors.numpy import load_file, save_file
 
 from wcsim.agents.runs.run_folder import RunFolder
 from wcsim.core import files, reading
-from wcsim.core.reading import escape, is_folder, read_file_size, read_json
+from wcsim.core.reading import JsonObject, escape, is_folder, read_file_size, read_json
 from wcsim.errors import PolicyError, WcsimError
 
 STATE: Final = "state.json"
@@ -38,7 +38,7 @@ Arrays = dict[str, np.ndarray]
 T = TypeVar("T")
 Log = Callable[[str], object]
 Alive = Callable[[], object]  # called now and then while something takes long
-Restore = Callable[[int, dict[str, Any], dict[str, Arrays]], T]
+Restore = Callable[[int, JsonObject, dict[str, Arrays]], T]
 """Restores a learner at a step or round from state and arrays; raises where they do not fit."""
 
 
@@ -206,7 +206,7 @@ def _is_name(name: str) -> bool:
     return match is not None and name == format_checkpoint_name(match[1], int(match[2]))
 
 
-def _read_state(path: Path) -> dict[str, Any]:
+def _read_state(path: Path) -> JsonObject:
     """The state of a checkpoint. Raises PolicyError when it is damaged."""
     state = read_json(path / STATE, reading.STATE)
     version = state.get("schema_version")

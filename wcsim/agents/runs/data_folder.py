@@ -23,7 +23,7 @@ from wcsim.config import CameraConfig, ChairConfig, RunConfig
 from wcsim.config.plant import read_own_plant_bytes
 from wcsim.config.run_file import DrivingDataFile
 from wcsim.core import files, reading
-from wcsim.core.reading import SEGMENT, decompress_zstd, escape, read_bytes, read_json
+from wcsim.core.reading import SEGMENT, JsonObject, decompress_zstd, escape, read_bytes, read_json
 from wcsim.errors import PolicyError
 from wcsim.types import F32, F64, U8, Bool
 
@@ -296,7 +296,7 @@ def _settings_digest(config: RunConfig) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
-def config_to_plain_settings(config: RunConfig) -> dict[str, Any]:
+def config_to_plain_settings(config: RunConfig) -> JsonObject:
     """All settings as plain values; the user's own plant by its file's hash, not its path.
 
     Raises:
@@ -311,7 +311,7 @@ def _plant_sha256(config: RunConfig) -> str:
     return hashlib.sha256(text).hexdigest() if text else ""
 
 
-def _by_content(dumped: dict[str, Any], plant_sha256: str) -> dict[str, Any]:
+def _by_content(dumped: JsonObject, plant_sha256: str) -> JsonObject:
     chair = dumped.get("chair")
     if not plant_sha256 or not isinstance(chair, dict):
         return dumped
@@ -325,7 +325,7 @@ def hash_segments(segments: Hashes) -> str:
     ).hexdigest()
 
 
-def _part(dumped: dict[str, Any], name: str) -> Any:
+def _part(dumped: JsonObject, name: str) -> Any:
     here: Any = dumped
     for word in name.split("."):
         if word.isdecimal():

@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import wcsim
 from wcsim.agents.policy_api import (
@@ -25,7 +25,7 @@ from wcsim.config import RunConfig, parse
 from wcsim.config.load import M
 from wcsim.config.run_file import DangerPolicyFile, QPolicyFile, ShippedPolicyHashes
 from wcsim.core import files
-from wcsim.core.reading import HASHES, POLICY, escape, is_file, is_folder, read_json
+from wcsim.core.reading import HASHES, POLICY, JsonObject, escape, is_file, is_folder, read_json
 from wcsim.errors import ConfigError, PolicyError
 
 POLICY_JSON: Final = "policy.json"
@@ -73,7 +73,7 @@ def read_policy_algorithm(path: Path) -> object:
     return _read(path).get("algorithm")
 
 
-def parse_saved(model: type[M], data: dict[str, Any], where: str) -> M:
+def parse_saved(model: type[M], data: JsonObject, where: str) -> M:
     """`parse` for what a run, a policy or a data folder holds. Raises PolicyError."""
     try:
         return parse(model, data, where)
@@ -81,7 +81,7 @@ def parse_saved(model: type[M], data: dict[str, Any], where: str) -> M:
         raise PolicyError(str(error)) from None
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> JsonObject:
     if not is_file(path / POLICY_JSON):
         raise PolicyError(
             f"{escape(path)} is not a policy folder: it has no {POLICY_JSON}; expected a folder "
