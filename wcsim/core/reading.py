@@ -133,11 +133,9 @@ def open_regular_file(path: Path, kind: FileSpec) -> Iterator[BinaryIO]:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise kind.error(f"{escape(path)}: is not a regular file; expected {kind.what}")
             yield file
-    except OSError as error:
-        reason = error.strerror or error
+    except (OSError, ValueError) as error:  # the second for NUL in the path
+        reason = getattr(error, "strerror", None) or error
         raise _unreadable(path, kind, reason) from None
-    except ValueError as error:  # NUL in the path
-        raise _unreadable(path, kind, error) from None
 
 
 def read_bytes(path: Path, kind: FileSpec) -> bytes:

@@ -258,8 +258,8 @@ class _DiscountedReturn:
     True
     """
 
-    gamma: float
-    scale: float  # of rewards
+    gamma: float = 1.0
+    scale: float = 1.0  # of rewards
     start_value: float | None = None  # of the greedy action at the start
     _sum: float = 0.0
     _weight: float = 1.0  # of the next reward
@@ -288,9 +288,7 @@ class _EpisodeSums:
     reward: float = 0.0
     progress_m: float = 0.0
     greedy: list[float] = field(default_factory=list)  # joystick distances
-    discounted: _DiscountedReturn = field(
-        default_factory=lambda: _DiscountedReturn(gamma=1.0, scale=1.0)
-    )
+    discounted: _DiscountedReturn = field(default_factory=_DiscountedReturn)
 
     def add(self, reward: float, info: Info) -> None:
         """Add a step, by an environment's `info`."""

@@ -96,7 +96,7 @@ class SeqDQN(DQN):
         **dqn: Any,
     ) -> None:
         # SB3's `save` writes all attributes under their names, those with an underscore too.
-        self.settings = settings if settings is not None else LearnConfig()
+        self.settings = settings or LearnConfig()
         self.actions = actions
         self.mirror_signs = mirror_signs
         self.plan = PhasePlan(self.settings)

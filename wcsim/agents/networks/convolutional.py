@@ -20,6 +20,7 @@ import torch
 from torch import Tensor, nn
 
 _Shape = tuple[int, int, int, int]  # T, C, H, W
+_Unrolled = tuple[Tensor, Tensor]  # what comes of images in a row, and the state after them
 
 _PATCH_PX: Final = 4
 _PATCH_CHANNELS: Final = 24
@@ -69,7 +70,7 @@ class _RecurrentNet(nn.Module):
         outputs, _ = self._run(image, image.new_zeros(len(image), self.state_size))
         return torch.cat([outputs[:, -1], vector], dim=1)
 
-    def unroll(self, image: Tensor, vector: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    def unroll(self, image: Tensor, vector: Tensor, state: Tensor) -> _Unrolled:
         """Features (B, T, 128 + V) of images and vectors in a row, and the state after them.
 
         Args:
@@ -80,7 +81,7 @@ class _RecurrentNet(nn.Module):
         outputs, after = self._run(image, state)
         return torch.cat([outputs, vector], dim=2), after
 
-    def _run(self, image: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    def _run(self, image: Tensor, state: Tensor) -> _Unrolled:
         """Outputs of the LSTM after each image, (B, T, 128), and the flat state after the last."""
         raise NotImplementedError
 
@@ -101,7 +102,7 @@ class Figure6Net(_RecurrentNet):
         self.memory = memory
         self.state_size = 2 * _LSTM_UNITS
 
-    def _run(self, image: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    def _run(self, image: Tensor, state: Tensor) -> _Unrolled:
         seen = self.eye(image.flatten(0, 1), image.new_zeros(image.shape[0] * image.shape[1], 0))
         return _run_lstm(self.memory, torch.unflatten(seen, 0, image.shape[:2]), state)
 
@@ -129,7 +130,7 @@ class ConvLstmNet(_RecurrentNet):
             bias[_CELL_CHANNELS : 2 * _CELL_CHANNELS] = _FORGET_BIAS
             self.gates.bias = nn.Parameter(bias)
 
-    def _run(self, image: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    def _run(self, image: Tensor, state: Tensor) -> _Unrolled:
         # 1. All images at once, each to a map.
         seen = self.eye(image.flatten(0, 1)).unflatten(0, image.shape[:2])
         # 2. The ConvLSTM from tick to tick.
@@ -232,7 +233,7 @@ def _lstm() -> nn.LSTM:
     return memory
 
 
-def _run_lstm(memory: nn.LSTM, seen: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+def _run_lstm(memory: nn.LSTM, seen: Tensor, state: Tensor) -> _Unrolled:
     """Outputs (B, T, 128) for `seen` (B, T, 128) in a row, and the flat state (B, S) after them."""
     hidden, cell = (part.contiguous() for part in state[None].chunk(2, dim=2))
     outputs, after = memory(seen, (hidden, cell))

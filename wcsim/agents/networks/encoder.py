@@ -23,6 +23,7 @@ from wcsim.errors import PolicyError
 from wcsim.types import ClassId as C
 
 Tensors = Mapping[str, Tensor]
+Space = spaces.Space[object]
 Classes = Literal["cityscapes", "wcsim"]
 
 # Cityscapes has more labelIds than wcsim draws (guard rail 14, bridge 15, tunnel 16, caravan 29,
@@ -150,7 +151,7 @@ class ObservationEncoder(BaseFeaturesExtractor):
         return torch.cat([observations[key] for key in self.vector_keys], dim=1).to(torch.float32)
 
 
-def vector_keys_from_space(space: spaces.Space[object]) -> tuple[str, ...]:
+def vector_keys_from_space(space: Space) -> tuple[str, ...]:
     """What a network's vector is made of, in its order.
 
     IMU, joystick, then every further row of numbers by name.
@@ -162,7 +163,7 @@ def vector_keys_from_space(space: spaces.Space[object]) -> tuple[str, ...]:
     return (IMU_KEY, JOYSTICK_KEY, *sorted(rows - {IMU_KEY, JOYSTICK_KEY}))
 
 
-def vector_size_from_space(space: spaces.Space[object], keys: tuple[str, ...] = ()) -> int:
+def vector_size_from_space(space: Space, keys: tuple[str, ...] = ()) -> int:
     """How many numbers the vector has, or those parts of it that `keys` names.
 
     In the paper 7, for IMU and joystick.
@@ -173,7 +174,7 @@ def vector_size_from_space(space: spaces.Space[object], keys: tuple[str, ...] = 
     )
 
 
-def image_size_from_space(space: spaces.Space[object]) -> tuple[int, int]:
+def image_size_from_space(space: Space) -> tuple[int, int]:
     """(H, W) of the observation's images. Raises PolicyError when the space is none of wcsim's."""
     space = _require_own(space)
     dtype = np.float32 if observation_form_from_space(space) == "table3" else np.uint8
@@ -189,12 +190,12 @@ def image_size_from_space(space: spaces.Space[object]) -> tuple[int, int]:
     return height, width
 
 
-def window_size_from_space(space: spaces.Space[object]) -> int:
+def window_size_from_space(space: Space) -> int:
     """How many images the observation holds (`env.window`)."""
     return int(_box(_require_own(space), DEPTH_KEY).shape[0])
 
 
-def observation_form_from_space(space: spaces.Space[object]) -> Form:
+def observation_form_from_space(space: Space) -> Form:
     """Which form of `env.observation` a space is of. Raises PolicyError when it is of none."""
     keys = _require_own(space).spaces
     if CLASS_KEY not in keys:
@@ -202,7 +203,7 @@ def observation_form_from_space(space: spaces.Space[object]) -> Form:
     return "compact_rgb" if RGB_KEY in keys else "compact"
 
 
-def _require_own(space: spaces.Space[object]) -> spaces.Dict:
+def _require_own(space: Space) -> spaces.Dict:
     """The space, when it is one of wcsim's. Raises PolicyError."""
     if isinstance(space, spaces.Dict):
         keys = set(space.spaces)
@@ -229,7 +230,7 @@ def _group_table(classes: Classes) -> Tensor:
     return table
 
 
-def _require_stateful(space: spaces.Space[object], network: str) -> None:
+def _require_stateful(space: Space, network: str) -> None:
     """Raise PolicyError for a network, or observations, with which no state can be carried."""
     if not registry.is_recurrent_network(network):
         raise PolicyError(

@@ -12,7 +12,6 @@ seen once, and people who can walk off, stay for seconds.
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -53,13 +52,13 @@ _X, _Y, _WAY = range(3)
 _AROUND, _SEEN = 1, 2
 
 
-@dataclass(frozen=True, slots=True)
 class StepObstacleDetector:
     """Buffers for the cameras of one chair; `obstacles` writes into them."""
 
-    low_m: F32 = field(default_factory=lambda: np.empty((ROWS, COLUMNS), np.float32))
-    high_m: F32 = field(default_factory=lambda: np.empty((ROWS, COLUMNS), np.float32))
-    points_B_m: F64 = field(default_factory=lambda: np.empty((_MOST_POINTS, 2)))
+    def __init__(self) -> None:
+        self.low_m: F32 = np.empty((ROWS, COLUMNS), np.float32)
+        self.high_m = np.empty_like(self.low_m)
+        self.points_B_m = np.empty((_MOST_POINTS, 2))
 
     def obstacles(self, views: Iterable[CameraView], up_B: F64, box_B_m: F64) -> F64:
         """Find what is in the way.

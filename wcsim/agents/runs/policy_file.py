@@ -202,8 +202,10 @@ def require_danger_policy_fits(folder: Path, name: str, config: RunConfig) -> No
     # It does not look at further ones.
     pairs = zip(learned, seen, strict=False)
     other = [key for a, b in pairs for key in CAMERA_KEYS if getattr(a, key) != getattr(b, key)]
-    other += [key for key in ("actions",) if file.net.actions != config.env.actions]
-    other += [key for key in ("classes",) if file.classes != config.env.classes]
+    if file.net.actions != config.env.actions:
+        other.append("actions")
+    if file.classes != config.env.classes:
+        other.append("classes")
     if other:
         raise PolicyError(
             f"policy {name!r} was trained with another camera, class form or action set "
