@@ -272,9 +272,7 @@ def make_baseline_policy(name: str, config: RunConfig, seed: int = 0) -> Policy:
             actions=actions, watch=_CorridorWatch(config.eye, config.chair, outline)
         )
     if name.partition("@")[0] == LEVELLED:
-        return DynamicWindowPolicy(
-            name, config, actions, plant_spec(config.chair).outline, level_of(name)
-        )
+        return DynamicWindowPolicy(name, config, level_of(name))
     if name in UPPER_BOUNDS:
         return _OracleDriver(actions=actions, name=name)
     raise PolicyError(
