@@ -148,7 +148,7 @@ def _model_arrays(model: SeqDQN) -> Arrays:
             arrays[f"{prefix}/{key}"] = value.detach().cpu().numpy()
     for index, slots in model.policy.optimizer.state_dict()["state"].items():
         for key, value in slots.items():
-            arrays[f"optimizer/{index}/{key}"] = np.asarray(torch.as_tensor(value).cpu().numpy())
+            arrays[f"optimizer/{index}/{key}"] = torch.as_tensor(value).cpu().numpy()
     return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
 
 

@@ -30,7 +30,6 @@ from wcsim.agents.runs.data_folder import (
 from wcsim.agents.runs.policy_file import require_danger_policy_fits
 from wcsim.agents.runs.transfer import folder_to_input_files, require_sendable_run, town_to_input_files
 from wcsim.config import RunConfig, resolve
-from wcsim.config.load import Layer
 from wcsim.core import reading
 from wcsim.core.files import (
     is_unfinished_write,
@@ -146,15 +145,11 @@ def _plant_parcels(config: RunConfig) -> tuple[WorkInputFiles, ...]:
     return (WorkInputFiles(address=plant, folder=path.parent, names=(path.name,), inner=path.name),)
 
 
-def _plant_at(config: RunConfig, at: ToLocalPath) -> Layer:
-    """Where that wheelchair lies now."""
-    return {"chair": {"plant": at(config.chair.plant)}} if config.chair.plant.endswith(".toml") else None
-
-
 def _drive_order(order: SegmentOrder, at: ToLocalPath) -> bytes:
     """Drive one piece of work in this process; its segment as a file holds it."""
     torch.set_num_threads(1)
-    config = resolve(order.config, _plant_at(order.config, at))
+    plant = order.config.chair.plant
+    config = resolve(order.config, {"chair": {"plant": at(plant)}} if plant.endswith(".toml") else None)
     here = replace(order, towns=tuple(map(at, order.towns)), policy=order.policy and at(order.policy), config=config)
     make = _learned_of(Path(here.policy), config) if here.policy else None
     return segment_to_bytes(collect(here, make))

@@ -293,7 +293,7 @@ def _settings_digest(config: RunConfig) -> str:
     """SHA-256 over the settings that data and its learner share: camera, chair, actions."""
     settings = config_to_plain_settings(config)
     parts = [_part(settings, name) for name in _SETTINGS]
-    return hashlib.sha256(repr(parts).encode()).hexdigest()
+    return files.sha256_from_text(repr(parts))
 
 
 def config_to_plain_settings(config: RunConfig) -> JsonObject:
@@ -320,9 +320,8 @@ def _by_content(dumped: JsonObject, plant_sha256: str) -> JsonObject:
 
 def hash_segments(segments: Hashes) -> str:
     """SHA-256 over all segments, in any order."""
-    return hashlib.sha256(
-        "\n".join(f"{name} {segments[name]}" for name in sorted(segments)).encode()
-    ).hexdigest()
+    rows = (f"{name} {segments[name]}" for name in sorted(segments))
+    return files.sha256_from_text("\n".join(rows))
 
 
 def _part(dumped: JsonObject, name: str) -> Any:

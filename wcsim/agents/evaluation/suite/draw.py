@@ -151,17 +151,13 @@ def _apart(ways: Iterator[Way]) -> list[SuiteEpisode]:
     lines: list[F64] = []
     for episode, route in ways:
         points_m = route.points_W_m
-        if all(_distance_m(points_m, other) > APART_M for other in lines):
+        # The points (n, 2) of a way are a metre apart.
+        if all(np.hypot(*(points_m[:, None] - other_m).T).min() > APART_M for other_m in lines):
             taken.append(episode)
             lines.append(points_m)
             if len(taken) == SEATS:
                 break
     return taken
-
-
-def _distance_m(one_m: F64, other_m: F64) -> float:
-    """Between the points (n, 2) of two ways, which are a metre apart."""
-    return float(np.hypot(*(one_m[:, None, :] - other_m[None, :, :]).T).min())
 
 
 def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[Way]:

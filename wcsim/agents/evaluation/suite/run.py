@@ -82,7 +82,8 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     digests = {names[0]: _policy_digest(names[0], order) for names in chairs.values()}
     for policy, digest in digests.items():
         for index in range(len(file.blocks)):
-            key = _block_key(order, index, digest)
+            # By what its result depends on: its list, its place in it, and the policy's digest.
+            key = sha256_from_text(json.dumps([file.suite, order.suite.sha256, index, digest]))
             path, cached = order.out / KEPT / f"{key}.json", cache_folder() / f"rows-{key[:32]}.json"
             if path.is_file():
                 kept[policy, index] = _read_kept(path)
@@ -350,11 +351,6 @@ def _judged_blocks(blocks: Sequence[SuiteBlock], episodes: int) -> frozenset[int
         return frozenset()
     wanted = max(1, round(len(blocks) * episodes / total))
     return frozenset((number * len(blocks)) // wanted for number in range(wanted))
-
-
-def _block_key(order: SuiteOrder, index: int, digest: str) -> str:
-    """By what the result of a block depends on: its list, its place in it, and the policy's digest."""
-    return sha256_from_text(json.dumps([order.suite.file.suite, order.suite.sha256, index, digest]))
 
 
 def _read_kept(path: Path) -> Records:
