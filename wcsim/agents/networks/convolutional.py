@@ -95,7 +95,6 @@ class Figure6Net(_RecurrentNet):
 
     def __init__(self, image_shape: _Shape, vector_size: int) -> None:
         super().__init__()
-        del vector_size
         # The LSTM is made before the eye, and registered after it.
         memory = _lstm()
         self.eye = PatchNet(image_shape[1:], 0)
@@ -115,7 +114,6 @@ class ConvLstmNet(_RecurrentNet):
 
     def __init__(self, image_shape: _Shape, vector_size: int) -> None:
         super().__init__()
-        del vector_size
         self.eye, channels = _eye(image_shape)
         self.gates = nn.Conv2d(channels + _CELL_CHANNELS, 4 * _CELL_CHANNELS, 3, padding=1)
         self.small = _MapToFeatures(_CELL_CHANNELS, self.eye, image_shape, 0)

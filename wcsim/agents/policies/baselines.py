@@ -75,7 +75,6 @@ class _Zero(_Memoryless):
 
     def act(self, observation: Observation) -> int:
         """Always the middle."""
-        del observation
         return self.actions.nearest((0.0, 0.0))
 
 
@@ -97,7 +96,6 @@ class _Random(_Memoryless):
 
     def act(self, observation: Observation) -> int:
         """Draw an action, uniformly."""
-        del observation
         return int(self.rng.integers(0, len(self.actions)))
 
 

@@ -320,7 +320,11 @@ def train_danger(
         InterruptedRunError: Ctrl-C; policies/final is that of the last whole round, and `resume` goes on.
         PolicyError, TownError, ConfigError, WorkersError, DiskFullError: See `_train_rounds` and `open_or_create_run`.
     """
-    _require_driving(run.config)
+    if run.config.collect.segments == 0 and not run.config.collect.data:
+        raise ConfigError(
+            "collect.segments=0 without collect.data: there is no data to learn from; expected --data FOLDER, or "
+            "collect.segments of 1 or more"
+        )
     require_recordable(run.config)
     if run.config.learn.tensorboard:
         require_tensorboard_installed()
@@ -339,12 +343,3 @@ def train_danger(
         folder.with_status("done", folder.config.collect.rounds * folder.config.danger.updates)
         folder.event("done", weights_sha256=sha256)
     return folder.path
-
-
-def _require_driving(config: RunConfig) -> None:
-    """Refuse a run that nobody drives for. Raises ConfigError."""
-    if config.collect.segments == 0 and not config.collect.data:
-        raise ConfigError(
-            "collect.segments=0 without collect.data: there is no data to learn from; expected --data FOLDER, or "
-            "collect.segments of 1 or more"
-        )
