@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.worlds import follow, hashes, open_world
+from tests.support.worlds import follow, hashes, open_world, push
 from wcsim.bridge.mirror import BODY_REACH_M
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.world import World
@@ -16,6 +16,7 @@ from wcsim.bridge.world_copy import in_copy
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError, ProtocolError, WorldInUseError
+from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.supervisor.oracle import CrashOracle
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types import ActorKind, Command, Joystick, SeatSpec
@@ -64,6 +65,20 @@ def test_chairs_that_roll_are_where_they_would_be_and_equal_seeds_give_equal_wor
     (one, first), (_, second), (other, _) = places
     assert first == second and shares[0] == shares[1] > 0.5 and shares[2] == 0.0
     assert np.abs(np.subtract(one, other)).max() < 0.05
+
+
+def test_the_ground_that_a_chair_may_come_to_is_ahead_of_it_or_behind_one_that_backs(corner):
+    with open_world(corner, seed=3) as world:
+        (seat,) = world.seats
+        way_m = 0.167 + stopping_distance_m(1.67, 1.5, 4.0)
+        for stick, side in ((Joystick(0.0, 1.0), 1.0), (Joystick(0.0, -1.0), -1.0)):
+            for _ in range(25):
+                push(world, stick)
+            now, reach = seat.as_actor(), seat.reach()
+            shift_m = reach.p_W_m - now.p_W_m
+            ahead_m = shift_m[0] * math.cos(now.yaw_rad) + shift_m[1] * math.sin(now.yaw_rad)
+            assert ahead_m == pytest.approx(0.5 * side * way_m)
+            assert np.subtract(reach.size_lwh_m, now.size_lwh_m) == pytest.approx([way_m + 0.6, 0.6, 0.0])
 
 
 def test_who_has_somebody_in_reach_is_in_the_engine(corner):

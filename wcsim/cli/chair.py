@@ -190,7 +190,7 @@ def _compare(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
         lines = []
         for row in rows:
             values = (f"{value:.4g}" for value in row.values)
-            verdict = "" if row.ok else "[bold red]RED[/]"
+            verdict = "" if row.ok else "RED"
             lines.append((row.name, *values, f"{row.change:.1%}", verdict))
         title = f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows change little"
         _show_rows(title, (*columns, "change"), ("",), lines)
@@ -230,10 +230,11 @@ def _show_judged(plant: str, rows: Sequence[TrialResult]) -> None:
     judged = [row for row in rows if row.judged]
     lines = []
     for row in rows:
-        if row.ok:
+        verdict = "other"
+        if row.red:
+            verdict = "RED"
+        elif row.ok:
             verdict = "" if row.judged else "not judged"
-        else:
-            verdict = "[bold red]RED[/]" if row.red else "other"
         numbers = (f"{number:.4g}" for number in (row.value, row.low, row.high))
         lines.append((row.name, *numbers, row.unit, row.bound, verdict))
     title = f"{plant}: {sum(row.ok for row in judged)} of {len(judged)} rows as expected"

@@ -22,7 +22,7 @@ from wcsim.types.chair import AT_REST
 from wcsim.users.avoidance import LateralOffsetPlanner, PredictedChairPose
 from wcsim.users.crossing import CrossingStopPlanner, RouteCrossing, find_route_crossings
 from wcsim.users.hand import StickHandModel, SwitchHandModel, clip_to_disc
-from wcsim.users.perception import PerceivedObjects, UserPerception, farthest_sight_m
+from wcsim.users.perception import FARTHEST_SIGHT, PerceivedObjects, UserPerception
 from wcsim.users.profiles import UserProfile
 from wcsim.users.route_line import RoutePolyline
 from wcsim.users.turning import ActiveTurn, AxlePose, TurnPlan, plan_turn
@@ -189,7 +189,7 @@ class SimulatedUser(User):
         # A generator for each part: what one part draws does not change what another does.
         attention_rng, hand_rng, self._miss_rng, self._law_rng, self._fear_rng = rng.spawn(5)
         self._perception = UserPerception(profile, attention_rng)
-        self.sight_m = farthest_sight_m(profile)
+        self.sight_m = FARTHEST_SIGHT * profile.see_m
         self._hand = (
             SwitchHandModel(profile) if profile.discrete else StickHandModel(profile, hand_rng)
         )

@@ -8,7 +8,6 @@ into a chair instead of 5. Everywhere else on a street such steps do as well as 
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -27,7 +26,6 @@ _BEHIND_M: Final = 0.15
 _SPARE: Final = 1.25  # of the way of a tick
 _STEP_M: Final = 0.08  # less than the raster's cells
 _SLACK_M: Final = 0.1  # a body turns while it moves
-_ASIDE_M: Final = 0.3  # around what a chair may reach
 _BENT_M: Final = 0.001  # by which a plane may miss the land
 
 
@@ -100,25 +98,6 @@ def find_plane(plant: PlantState, reach: Box, ground: Ground) -> Plane | None:
         return None
     here_m = land_m[0] + rise_x * (plant.p_WB_m[0] - x_m) + rise_y * (plant.p_WB_m[1] - y_m)
     return Plane(level_m + float(here_m), float(rise_x), float(rise_y))
-
-
-def reach_of(chair: ActorState, plant: PlantState, way_m: float) -> ActorState:
-    """The ground that a chair may come to, as an actor that stands there.
-
-    Args:
-        chair: As others see it.
-        plant: The same chair.
-        way_m: How far it may go, ahead or back as it does now.
-    """
-    length_m, width_m, height_m = chair.size_lwh_m
-    shift_m = math.copysign(0.5 * way_m, float(plant.v_B_mps[0]))
-    cos, sin = math.cos(chair.yaw_rad), math.sin(chair.yaw_rad)
-    return replace(
-        chair,
-        p_W_m=chair.p_W_m + np.array([cos * shift_m, sin * shift_m, 0.0]),
-        v_W_mps=np.zeros(3),
-        size_lwh_m=(length_m + way_m + 2.0 * _ASIDE_M, width_m + 2.0 * _ASIDE_M, height_m),
-    )
 
 
 def meets_body(

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from wcsim.bridge.ego.contact_ahead import find_plane, meets_edge, reach_of
+from wcsim.bridge.ego.contact_ahead import find_plane, meets_edge
 from wcsim.bridge.ego.crossing_watch import CrossingButton, CrossingWatch, OnRoad
 from wcsim.bridge.ego.near_rows import near_rows
 from wcsim.bridge.ego.randomization import DrawnChair, Randomization
@@ -71,6 +71,7 @@ _GOAL_RANGE_M = (60.0, 400.0)
 _SPAWN_TRIES = 400
 _CLEAR_SPAWN_M = 2.0  # free around a chair when it appears
 _LONGEST_ID = 60
+_ASIDE_M = 0.3  # around what a chair may reach
 _VISIBLE_PX = 16.0  # of 320x240, from which an actor counts as shown
 _REMEMBERED_S = 1.0  # since it was shown
 
@@ -254,7 +255,15 @@ class Ego:
         limits, plant = self._config.chair, self.plant
         way_m = limits.v_max_mps * self._config.world.tick_s
         way_m += stopping_distance_m(limits.v_max_mps, limits.decel_mps2, limits.jerk_mps3)
-        return reach_of(self.as_actor(), plant, way_m)
+        chair = self.as_actor()
+        length_m, width_m, height_m = chair.size_lwh_m
+        # Ahead, or back, as it moves now.
+        shift_m = math.copysign(0.5 * way_m, float(plant.v_B_mps[0]))
+        shift_W_m = shift_m * np.array([math.cos(plant.yaw_rad), math.sin(plant.yaw_rad), 0.0])
+        size_lwh_m = length_m + way_m + 2.0 * _ASIDE_M, width_m + 2.0 * _ASIDE_M, height_m
+        return replace(
+            chair, p_W_m=chair.p_W_m + shift_W_m, v_W_mps=np.zeros(3), size_lwh_m=size_lwh_m
+        )
 
     def plane(self, reach: ActorState) -> Plane | None:
         """The plane that the chair can roll on without the engine, where that is all in reach."""

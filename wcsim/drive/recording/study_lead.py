@@ -25,7 +25,6 @@ from wcsim.drive.recording.study_plan import (
     StudyPart,
     StudyStep,
     answer_choices,
-    answer_column,
     append_row,
     order_words,
     read_rows,
@@ -274,7 +273,7 @@ class StudyLead:
                 raise WcsimError(
                     f"got answer {number} to question {question.name}; expected 0 to {len(words) - 1}: reload the page"
                 )
-            told[answer_column(question)] = "" if number == _NO_ANSWER else words[number]
+            told[question.column] = "" if number == _NO_ANSWER else words[number]
         part = self.step.part
         self._write(_head(self._study, END) if part is None else self._rows[part.block.name], told)
         if part is not None:

@@ -141,12 +141,7 @@ def remaining_steps(
 
 def table_columns(study: StudyFile) -> tuple[str, ...]:
     """The columns of a study's table."""
-    return (*COLUMNS, *(answer_column(question) for question in study.questions))
-
-
-def answer_column(question: StudyQuestion) -> str:
-    """The column of a question's answers."""
-    return f"answer_{question.name}"
+    return (*COLUMNS, *(question.column for question in study.questions))
 
 
 def answer_choices(question: StudyQuestion) -> tuple[str, ...]:
