@@ -13,12 +13,18 @@ import torch
 
 import wcsim
 from wcsim.agents.envs.episode_view import FrameStacker, trim_frame_window
-from wcsim.agents.export import footprint
 from wcsim.agents.export.export_folder import (
     LOOP,
     REFERENCE,
     find_differing_settings,
     format_setting_overrides,
+)
+from wcsim.agents.export.footprint import (
+    PERIOD_S,
+    SHARE,
+    OnnxModelCost,
+    measure_onnx_model_cost,
+    run_onnx_steps,
 )
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.policy_graphs import DangerPolicyGraph, ValuePolicyGraph
@@ -133,10 +139,10 @@ class ExportMeasurements:
     same_actions: float  # share of the steps
     same_as_wcsim: float  # share of the steps that the policy of wcsim itself chooses
     same_as_recorded: float | None = None  # share of a recording's actions that are these
-    cost: footprint.OnnxModelCost
+    cost: OnnxModelCost
     bytes: int
-    quota_share: float = footprint.SHARE
-    quota_period_s: float = footprint.PERIOD_S
+    quota_share: float = SHARE
+    quota_period_s: float = PERIOD_S
     quota_by: str = "SIGSTOP and SIGCONT"
 
 
@@ -261,7 +267,7 @@ def _write_reference(
         same_as_recorded=None
         if recorded is None
         else float(np.mean(actions == np.array(recorded))),
-        cost=footprint.measure_onnx_model_cost(model, target / REFERENCE, graph.inputs),
+        cost=measure_onnx_model_cost(model, target / REFERENCE, graph.inputs),
         bytes=model.stat().st_size,
     )
 
@@ -274,7 +280,7 @@ def _run_model(
 ) -> dict[str, Any]:
     """Outputs of a model by name, stacked over the steps of a ride; see `run_onnx_steps`."""
     columns: dict[str, list[Any]] = {}
-    for outputs in footprint.run_onnx_steps(open_onnx_session(path), ride, keys, states_before):
+    for outputs in run_onnx_steps(open_onnx_session(path), ride, keys, states_before):
         for name, values in outputs.items():
             if not name.startswith("next_"):
                 columns.setdefault(name, []).append(values[0])
