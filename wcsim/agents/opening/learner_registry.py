@@ -99,8 +99,8 @@ class Learner(Protocol):
         folder: Path,
         name: str,
         config: RunConfig,
-        level: float | None,
-        network: str | None,
+        level: float | None = None,
+        network: str | None = None,
     ) -> Policy:
         """A policy for one chair.
 
@@ -123,8 +123,8 @@ class Learner(Protocol):
         self,
         folder: Path,
         config: RunConfig,
-        level: float | None,
-        network: str | None,
+        level: float | None = None,
+        network: str | None = None,
     ) -> tuple[Graph, Policy]:
         """A policy as a graph to export, and as wcsim drives with it; see `load_policy`."""
 
@@ -199,8 +199,8 @@ class _QLearning(Learner):
         folder: Path,
         name: str,
         config: RunConfig,
-        level: float | None,
-        network: str | None,
+        level: float | None = None,
+        network: str | None = None,
     ) -> Policy:
         """See `Learner`; values have no level of assistance."""
         from wcsim.agents.learning.saved_policy import load_policy_for_config
@@ -211,8 +211,8 @@ class _QLearning(Learner):
         self,
         folder: Path,
         config: RunConfig,
-        level: float | None,
-        network: str | None,
+        level: float | None = None,
+        network: str | None = None,
     ) -> tuple[Graph, Policy]:
         """See `Learner`."""
         from wcsim.agents.export.policy_graphs import ValuePolicyGraph
@@ -292,8 +292,8 @@ class _DangerRounds(Learner):
         folder: Path,
         name: str,
         config: RunConfig,
-        level: float | None,
-        network: str | None,
+        level: float | None = None,
+        network: str | None = None,
     ) -> Policy:
         """See `Learner`; the level is a threshold of danger."""
         from wcsim.agents.danger.policy import load_danger
@@ -312,8 +312,8 @@ class _DangerRounds(Learner):
         self,
         folder: Path,
         config: RunConfig,
-        level: float | None,
-        network: str | None,
+        level: float | None = None,
+        network: str | None = None,
     ) -> tuple[Graph, Policy]:
         """See `Learner`."""
         from wcsim.agents.danger.policy import DangerPolicy, load_net
