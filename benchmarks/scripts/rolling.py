@@ -32,7 +32,7 @@ class RollingOptions:
     """One tick of a chair that rolls without the engine, beside the same tick of that chair in it."""
 
     towns: str = "helsinki,manhattan"
-    """Where: names of towns or their folders, separated by commas."""
+    """Where: each a town's name, its folder, or a .sumocfg file; separated by commas."""
     plants: str = "rwd,mwd,whill"
     """Chairs (plants), separated by commas."""
     chairs: int = 8
