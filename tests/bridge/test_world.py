@@ -11,7 +11,7 @@ import pytest
 from tests.support.worlds import follow, hashes, open_world, push
 from wcsim.bridge.mirror import BODY_REACH_M
 from wcsim.bridge.sumo.session import world_in_this_process
-from wcsim.bridge.world import World
+from wcsim.bridge.world import World, _reach
 from wcsim.bridge.world_copy import in_copy
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
@@ -74,7 +74,7 @@ def test_the_ground_that_a_chair_may_come_to_is_ahead_of_it_or_behind_one_that_b
         for stick, side in ((Joystick(0.0, 1.0), 1.0), (Joystick(0.0, -1.0), -1.0)):
             for _ in range(25):
                 push(world, stick)
-            now, reach = seat.as_actor(), seat.reach()
+            now, reach = seat.as_actor(), _reach(seat, way_m)
             shift_m = reach.p_W_m - now.p_W_m
             ahead_m = shift_m[0] * math.cos(now.yaw_rad) + shift_m[1] * math.sin(now.yaw_rad)
             assert ahead_m == pytest.approx(0.5 * side * way_m)

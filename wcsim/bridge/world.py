@@ -6,6 +6,7 @@ tick n (it sees them one tick late); bodies, sensors and pictures all show tick 
 A world also brings the street near the wheelchairs into memory: tiles for engine and pictures.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -28,12 +29,14 @@ from wcsim.bridge.sumo.session import (
 from wcsim.config import RunConfig
 from wcsim.core.boxes import box_from_actor, boxes_touch
 from wcsim.core.closing import ClosingContextBase
+from wcsim.core.frames import forward_vector
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
 from wcsim.physics.engine import StreetBodies
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
+from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.physics.wheelchair.rolling import Plane
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
@@ -60,6 +63,7 @@ _TILE_MORE_M = 100.0  # and so much more is loaded whenever the pictures need an
 MOST_TILES = 64
 ENGINE_STAY_M = 250.0  # but what is so near a chair stays
 _MOST_STORES = 512  # tiles that are ready to be drawn, 0.1 MB each
+_ASIDE_M = 0.3  # around what a chair may reach
 _MOVED_M = 1.0  # who has moved less since tiles were looked for needs no others
 
 
@@ -271,7 +275,8 @@ class World(ClosingContextBase):
                 self._planes = self._find_planes()
                 for seat in self._engine_seats():
                     seat.chair.stop_rolling()
-                self._bodied = mirror.in_reach(traffic.actors, self._places(in_engine=True), tick_s)
+                driven = [seat.plant.p_WB_m[:2] for seat in self._engine_seats()]
+                self._bodied = mirror.in_reach(self._bodied, np.reshape(driven, (-1, 2)), tick_s)
             self._choose_step()
             self._open.bodies.place(mirror.moves(traffic.before, self._bodied, tick_s))
         self._load_tiles(places_W_m)
@@ -321,14 +326,16 @@ class World(ClosingContextBase):
     def _find_planes(self) -> dict[int, Plane]:
         """What chairs stand on that need no engine in this tick: nothing is in reach of them."""
         traffic, tick_s = self._open.traffic, self.config.world.tick_s
-        reaches = {seat.index: seat.reach() for seat in self.seats}
-        boxes = {index: box_from_actor(reach) for index, reach in reaches.items()}
+        limits = self.config.chair
+        way_m = limits.v_max_mps * tick_s
+        way_m += stopping_distance_m(limits.v_max_mps, limits.decel_mps2, limits.jerk_mps3)
+        reaches = [_reach(seat, way_m) for seat in self.seats]
+        boxes = [box_from_actor(reach) for reach in reaches]
         planes = {}
-        for seat in self.seats:
-            reach, box = reaches[seat.index], boxes.pop(seat.index)
-            crowded = any(boxes_touch(*box, *other) for other in boxes.values())
-            boxes[seat.index] = box
-            plane = None if crowded else seat.plane(reach)
+        for seat, reach, box in zip(self.seats, reaches, boxes, strict=True):
+            if any(boxes_touch(*box, *other) for other in boxes if other is not box):
+                continue
+            plane = seat.plane(box)
             if plane and not meets_body([reach], traffic.before, self._bodied, tick_s):
                 planes[seat.index] = plane
         return planes
@@ -445,10 +452,9 @@ class World(ClosingContextBase):
     def _load_tiles(self, places_W_m: F64) -> None:
         self._loader.load(places_W_m, self._open.street, self.stopwatch)
 
-    def _places(self, in_engine: bool = False) -> F64:
-        """Where the chairs are, (n, 2); only those `in_engine` in this tick."""
-        seats = self._engine_seats() if in_engine else self.seats
-        return np.array([seat.plant.p_WB_m[:2] for seat in seats]).reshape(-1, 2)
+    def _places(self) -> F64:
+        """Where the chairs are, (n, 2)."""
+        return np.array([seat.plant.p_WB_m[:2] for seat in self.seats]).reshape(-1, 2)
 
     def _others(self, seat: Ego) -> tuple[ActorState, ...]:
         """Everything that moves around a seat, the other wheelchairs among it."""
@@ -477,6 +483,16 @@ class World(ClosingContextBase):
         if self._epoch is None:
             raise ProtocolError("this world is closed; make a new one")
         return self._epoch
+
+
+def _reach(seat: Ego, way_m: float) -> ActorState:
+    """The ground that a chair may come to within `way_m`, as an actor that stands there."""
+    chair, ahead_mps = seat.as_actor(), float(seat.plant.v_B_mps[0])
+    length_m, width_m, height_m = chair.size_lwh_m
+    # Ahead, or back, as it moves now.
+    shift_m = math.copysign(0.5 * way_m, ahead_mps) * forward_vector(chair.yaw_rad, 0.0)
+    size_lwh_m = length_m + way_m + 2.0 * _ASIDE_M, width_m + 2.0 * _ASIDE_M, height_m
+    return replace(chair, p_W_m=chair.p_W_m + shift_m, v_W_mps=np.zeros(3), size_lwh_m=size_lwh_m)
 
 
 class _TileLoader:

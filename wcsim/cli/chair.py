@@ -20,6 +20,7 @@ from wcsim.chair_check.row import (
     FASTEST_HZ,
     SLOWEST_HZ,
     TICK_S,
+    RowComparison,
     TrialResult,
     TrialSetup,
     compare_rows,
@@ -187,13 +188,7 @@ def _compare(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
         for plant, setup in setups.items()
     }
     for plant, rows in found.items():
-        lines = []
-        for row in rows:
-            values = (f"{value:.4g}" for value in row.values)
-            verdict = "" if row.ok else "RED"
-            lines.append((row.name, *values, f"{row.change:.1%}", verdict))
-        title = f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows change little"
-        _show_rows(title, (*columns, "change"), ("",), lines)
+        _show_compared(plant, [*columns, "change"], rows)
     plain = {plant: {"rows": [asdict(row) for row in rows]} for plant, rows in found.items()}
     write_json(options.json, {"hz": rates, "plants": plain})
     return 0 if all(row.ok for rows in found.values() for row in rows) else 1
@@ -224,6 +219,15 @@ def _rates(text: str) -> list[int]:
     for rate in rates:
         _HZ.check("--compare-hz", rate)
     return rates
+
+
+def _show_compared(plant: str, headings: Sequence[str], rows: Sequence[RowComparison]) -> None:
+    lines = []
+    for row in rows:
+        values = (f"{value:.4g}" for value in row.values)
+        lines.append((row.name, *values, f"{row.change:.1%}", "" if row.ok else "RED"))
+    title = f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows change little"
+    _show_rows(title, headings, ("",), lines)
 
 
 def _show_judged(plant: str, rows: Sequence[TrialResult]) -> None:

@@ -270,10 +270,7 @@ class DriveSession(ClosingContextBase):
         if self._ended:
             self._next(self._go_back() if self.client.events.crashed else "after the end of the last one")
         by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
-        if wish.help:
-            self.ask_for_help()
-        elif by_user and self.client.events.help_asked:
-            self.ask_for_help(raises=self.place.config.world.help_users)
+        self._hear_help(wish.help, by_user)
         stick = self.client.user if by_user else self._as_set(clip_stick_to_gate(wish.stick))  # nobody sees the raw one
         self._see(stick)
         overrule = wish.overrule and self.handed_over
@@ -382,6 +379,13 @@ class DriveSession(ClosingContextBase):
     def _send(self, record: DriveRecord) -> None:
         for observer in self._observers:
             observer(record)
+
+    def _hear_help(self, wished: bool, by_user: bool) -> None:
+        """Hear a request in the wish, or of the simulated user while it drives."""
+        if wished:
+            self.ask_for_help()
+        elif by_user and self.client.events.help_asked:
+            self.ask_for_help(raises=self.place.config.world.help_users)
 
     def _say_failure(self) -> None:
         if self.assistance.failed != self._failure:

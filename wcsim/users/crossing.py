@@ -156,15 +156,7 @@ class CrossingStopPlanner:
             lit = _has_light(item, signals)
             if to_go_m < _TRAFFIC_SEEN_M and (state.red_last_s is not None or not lit):
                 traffic = [each for each in vehicles if _is_traffic(item, each, self._ground)]
-                if lit:
-                    # At green those count that are near to where the crossing starts.
-                    start = item.start_W_m
-                    traffic = [
-                        each
-                        for each in traffic
-                        if math.dist(each.p_W_m[:2].tolist(), start) < _GREEN_SEEN_M
-                    ]
-                if _has_conflict(item, traffic):
+                if _has_conflict(item, _near_start(item, traffic) if lit else traffic):
                     return stop_m
 
             # 4. Wait where a short green may end. The next one is met nearer to the kerb.
@@ -312,6 +304,12 @@ def _signal_of(
         if signal.tls_id == crossing.tls_id and crossing.tls_id:
             return signal
     return None
+
+
+def _near_start(crossing: RouteCrossing, vehicles: Iterable[ActorState]) -> list[ActorState]:
+    """The vehicles so near to where a crossing starts that they count at green."""
+    start = crossing.start_W_m
+    return [v for v in vehicles if math.dist(v.p_W_m[:2].tolist(), start) < _GREEN_SEEN_M]
 
 
 def _is_traffic(crossing: RouteCrossing, vehicle: ActorState, ground: Ground | None) -> bool:

@@ -109,9 +109,7 @@ class UserPerception:
             # Nearly all actors of a town are farther, so this test stands before costly ones.
             if gap_m > _MEMORY_SIGHT * (half_m + see_m * _VEHICLE_SIGHT):
                 continue
-            vx_mps, vy_mps, _ = actor.v_W_mps.tolist()
-            rides = actor.kind in RIDERS and math.hypot(vx_mps, vy_mps) >= MOVING_MPS
-            slow = actor.kind in _SLOW_KINDS
+            slow, rides = actor.kind in _SLOW_KINDS, _is_riding(actor)
             reach_m = half_m + see_m * (PERSON_SIGHT if slow else _VEHICLE_SIGHT)
             rider_m = half_m + see_m * _RIDER_SIGHT
             if gap_m > _MEMORY_SIGHT * (rider_m if rides else reach_m):
@@ -186,3 +184,8 @@ def actor_to_discs(actor: ActorState) -> list[DetectedObject]:
         )
         for offset_m in offsets_m
     ]
+
+
+def _is_riding(actor: ActorState) -> bool:
+    vx, vy, _ = actor.v_W_mps.tolist()
+    return actor.kind in RIDERS and math.hypot(vx, vy) >= MOVING_MPS

@@ -29,13 +29,13 @@ ROWS: Final = (
         name="wcsim: tokens of code",
         # Eight engineers found 460 lines that were no feature. The rest is text: it falls room by room.
         first=691_761,
-        ceiling=569_694,
+        ceiling=570_561,
         count=measures.tokens,
     ),
     Row(name="wcsim: files", first=790, ceiling=440, count=measures.files),
     Row(name="wcsim: functions and classes", first=4_414, ceiling=3_327, count=measures.names),
     Row(name="wcsim: those that are public", first=2_655, ceiling=1_588, count=measures.public_names),
-    Row(name="wcsim: private ones called once", first=1_278, ceiling=888, count=measures.called_once),
+    Row(name="wcsim: private ones called once", first=1_278, ceiling=917, count=measures.called_once),
     Row(name="wcsim: files with late constants", first=110, ceiling=29, count=measures.late_constants),
     Row(name="wcsim: code lines a comment", first=389, ceiling=26.7, count=measures.lines_per_comment),
     Row(
@@ -53,8 +53,8 @@ ROWS: Final = (
     Row(name="tools: tokens", first=13_871, ceiling=13_633, count=lambda: measures.tokens("tools")),
     Row(name="examples: tokens", first=2_835, ceiling=6_150, count=lambda: measures.tokens("examples")),
     Row(name="benchmarks: tokens", first=55_115, ceiling=62_092, count=lambda: measures.tokens("benchmarks")),
-    Row(name="tests: tokens", first=619_290, ceiling=622_990, count=lambda: measures.tokens("tests")),
-    Row(name="docs: words written by hand", first=74_035, ceiling=35_653, count=measures.words_of_docs),
+    Row(name="tests: tokens", first=619_290, ceiling=622_997, count=lambda: measures.tokens("tests")),
+    Row(name="docs: words written by hand", first=74_035, ceiling=35_655, count=measures.words_of_docs),
     # The ideas are found by code. Of formats the log's and that of pictures in shared memory; of meters that of an
     # episode's record and the running one of a film; of learners Q-learning and danger networks.
     Row(name="ideas: formats of its own", first=6, ceiling=2, count=lambda: len(measures.formats())),

@@ -23,7 +23,7 @@ from wcsim.bridge.reaction.commands import ROADWAY, ChairInStreet, GreenRequest
 from wcsim.bridge.sumo.step_hook import HookChair
 from wcsim.config import RunConfig, WorldConfig
 from wcsim.core import seeding
-from wcsim.core.boxes import box_from_actor
+from wcsim.core.boxes import Box
 from wcsim.core.frames import sumo_from_yaw
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import SeatBuffers
@@ -32,7 +32,6 @@ from wcsim.physics.renderer.instances import ChairPose, chair_pose
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.pixel_noise import child
-from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.physics.wheelchair.plant import plant_spec, refuse_cameras_inside
 from wcsim.physics.wheelchair.rolling import Plane
 from wcsim.physics.wheelchair.wheel_track import fell
@@ -71,7 +70,6 @@ _GOAL_RANGE_M = (60.0, 400.0)
 _SPAWN_TRIES = 400
 _CLEAR_SPAWN_M = 2.0  # free around a chair when it appears
 _LONGEST_ID = 60
-_ASIDE_M = 0.3  # around what a chair may reach
 _VISIBLE_PX = 16.0  # of 320x240, from which an actor counts as shown
 _REMEMBERED_S = 1.0  # since it was shown
 
@@ -250,24 +248,9 @@ class Ego:
         chair, tick_s = self.chair, self._config.world.tick_s
         return meets_edge(chair.state(), chair.wheels_m, self._street.grid, tick_s)
 
-    def reach(self) -> ActorState:
-        """The ground that the chair may come to in a tick at top speed and in braking after it."""
-        limits, plant = self._config.chair, self.plant
-        way_m = limits.v_max_mps * self._config.world.tick_s
-        way_m += stopping_distance_m(limits.v_max_mps, limits.decel_mps2, limits.jerk_mps3)
-        chair = self.as_actor()
-        length_m, width_m, height_m = chair.size_lwh_m
-        # Ahead, or back, as it moves now.
-        shift_m = math.copysign(0.5 * way_m, float(plant.v_B_mps[0]))
-        shift_W_m = shift_m * np.array([math.cos(plant.yaw_rad), math.sin(plant.yaw_rad), 0.0])
-        size_lwh_m = length_m + way_m + 2.0 * _ASIDE_M, width_m + 2.0 * _ASIDE_M, height_m
-        return replace(
-            chair, p_W_m=chair.p_W_m + shift_W_m, v_W_mps=np.zeros(3), size_lwh_m=size_lwh_m
-        )
-
-    def plane(self, reach: ActorState) -> Plane | None:
+    def plane(self, reach: Box) -> Plane | None:
         """The plane that the chair can roll on without the engine, where that is all in reach."""
-        plane = find_plane(self.plant, box_from_actor(reach), self._street.grid)
+        plane = find_plane(self.plant, reach, self._street.grid)
         return plane if plane is not None and self.chair.can_roll(plane) else None
 
     def stand(self) -> None:

@@ -46,10 +46,7 @@ def print_test_result(
     """
     changed = f" CHANGED by {' '.join(result.changed)}" if result.changed else ""
     labels = _row_labels(list(result.episodes), console.width - _NUMBERS_WIDTH)
-    tables = {part: [row for row in result.rows if row.part == part] for part in result.parts}
-    if len(tables) > 1:
-        tables["all parts"] = list(result.pooled)
-    for part, rows in tables.items():
+    for part, rows in _rows_by_part(result):
         lines = [[labels[row.policy], *map(_cell, LOOK, repeat(row))] for row in rows]
         title = f"{result.suite} {result.set}{changed}: {part}"
         console.print(_table(title, ["policy", *(column.heading for column in LOOK)], lines))
@@ -74,6 +71,14 @@ def print_test_result(
     console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")
     if verdict:
         console.print(verdict, style="bold")
+
+
+def _rows_by_part(result: TestResult) -> list[tuple[str, list[ResultRow]]]:
+    """Each part's rows, and those of all parts where there are several."""
+    found = [(part, [row for row in result.rows if row.part == part]) for part in result.parts]
+    if len(found) > 1:
+        found.append(("all parts", list(result.pooled)))
+    return found
 
 
 def _crash_lines(result: TestResult) -> list[str]:

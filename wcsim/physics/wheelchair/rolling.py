@@ -35,7 +35,7 @@ from wcsim.types import F64, Joystick, PlantState
 
 # A chair that can roll is no further off the plane, does not rock, and its wheels do not slip.
 _LIFTED_M: Final = 0.008
-_LEANING: Final = 0.02
+_LEANING: Final = 0.01
 _NODDING: Final = 0.06  # on springs
 _ROCKING_RADPS: Final = 0.25
 _SLIPPING_MPS: Final = 0.02
@@ -166,17 +166,15 @@ class RollingPlant:
             steps: In the tick.
             dt_s: A step.
         """
-        # 1. The chair as it stands on the plane: heading, pitch, and what is left of its rotation.
-        tilt, com_B_m = _tilt(plane), (float(self.drive[_COM_X_M]), 0.0, float(self.drive[_COM_Z_M]))
+        # 1. The chair as it stands on the plane: heading and pitch; what it leans aside is nothing.
+        tilt, (com_x_m, com_z_m) = _tilt(plane), self.drive[_COM_X_M:].tolist()
+        com_B_m = com_x_m, 0.0, com_z_m
         rotation = matrix_from_quaternion(motion.q_WB)
-        lean = tilt.T @ np.array(rotation).reshape(3, 3)
-        yaw_rad = math.atan2(lean[1, 0], lean[0, 0])
-        pitch_rad = math.asin(lean[2, 0])
-        turn = np.array(matrix_from_quaternion(quaternion_from_ypr(yaw_rad, pitch_rad)))
-        lean = turn.reshape(3, 3).T @ lean
+        ahead, aside, up = (tilt.T @ rotation[::3]).tolist()
+        yaw_rad, pitch_rad = math.atan2(aside, ahead), math.asin(up)
         nod_radps = -rotate_vector_inverse(rotation, *motion.w_W_radps)[1] if self.springs[0] else 0.0
-        (left_rad, left_radps, *_), (right_rad, right_radps, *_), *_ = joints = list(motion.joints)
-        wheels = left_radps, right_radps, left_rad, right_rad
+        left, right, *_ = joints = list(motion.joints)
+        wheels = left[1], right[1], left[0], right[0]
         state = np.array([0.0, 0.0, yaw_rad, *wheels, pitch_rad, nod_radps])
         casters = [(joints[swivel], joints[wheel]) for swivel, wheel, _ in self.joints]
         turning = np.array([(swivel[0], wheel[1], wheel[0]) for swivel, wheel in casters])
@@ -185,7 +183,7 @@ class RollingPlant:
         memory, push = memory.copy(), (stick.x, stick.y)
         rows, hubs_m = np.empty((steps, ROW)), np.empty((steps, 2 + len(casters), 3))
         numbers = self.drive, self.casters, self.springs
-        _roll(state, turning, memory, setting, *numbers, tilt, lean, push, dt_s, rows, hubs_m)
+        _roll(state, turning, memory, setting, *numbers, tilt, push, dt_s, rows, hubs_m)
 
         # 3. The chair as it moves then.
         last = rows[-1].tolist()
@@ -195,9 +193,8 @@ class RollingPlant:
         roll_rad, pitch_rad, yaw_rad = rpy_from_matrix(after)
         *_, left_radps, right_radps, left_rad, right_rad, pitch, nod = state.tolist()
         joints[:2] = (left_rad, left_radps), (right_rad, right_radps)
-        places_m = self.casters[:, 0].tolist()
-        for at, x_m, (angle, spin, turned) in zip(self.joints, places_m, turning.tolist(), strict=True):
-            swivel, wheel, arm = at
+        at = zip(self.joints, self.casters[:, 0].tolist(), turning.tolist(), strict=True)
+        for (swivel, wheel, arm), x_m, (angle, spin, turned) in at:
             joints[swivel], joints[wheel] = (angle, 0.0), (turned, spin)
             if self.springs[0]:
                 joints[arm] = (-x_m * pitch, -x_m * nod)
@@ -233,7 +230,6 @@ def _roll(
     casters: F64,
     springs: F64,
     tilt: F64,
-    lean: F64,
     stick: tuple[float, float],
     dt_s: float,
     rows: F64,
@@ -250,40 +246,26 @@ def _roll(
         casters: Of `RollingPlant`.
         springs: Of `RollingPlant`.
         tilt: (3, 3) the plane's.
-        lean: (3, 3) the chair's rotation against the plane, without heading and pitch; it stays.
         stick: What the driver wants: right, forward.
         dt_s: A step.
         rows: (steps, ROW) takes what the sensors sample, see `physics/sensors/imu.py`.
         hubs: (steps, 2 + n, 3) takes the middles of the wheels from the chair's first place, in W.
     """
-    own, other, radius, half = drive[_OWN], drive[_OTHER], drive[_RADIUS_M], drive[_HALF_M]
-    det = own * own - other * other
-    body = np.empty((3, 3))
+    radius, half = drive[_RADIUS_M], drive[_HALF_M]
     for n in range(len(rows)):
         left, right = state[_LEFT_RADPS], state[_RIGHT_RADPS]
         v, w = 0.5 * radius * (left + right), 0.5 * radius * (right - left) / half
         # 1. What the motors are told, and what they can. The axle nods back above the ground.
-        axle = v - radius * state[_PITCH_RADPS]
-        told = drive_controller.step(memory, setting, stick[0], stick[1], axle, left, right)
+        axle_mps = v - radius * state[_PITCH_RADPS]
+        told = drive_controller.step(memory, setting, *stick, axle_mps, left, right)
         cos, sin = math.cos(state[_YAW]), math.sin(state[_YAW])
-        # Gravity along the plane, in the chair's frame, and the pull of its mass ahead of the axle.
+        # Gravity along the plane, in the chair's frame.
         ahead = -GRAVITY_MPS2 * (tilt[2, 0] * cos + tilt[2, 1] * sin)
         aside = -GRAVITY_MPS2 * (tilt[2, 1] * cos - tilt[2, 0] * sin)
-        push_N = drive[_AHEAD] * ahead + drive[_ASIDE] * w * w
-        twist_Nm = drive[_ASIDE] * (aside - v * w)
-        load_left = 0.5 * radius * (push_N - twist_Nm / half)
-        load_right = 0.5 * radius * (push_N + twist_Nm / half)
-        gain_left, gain_right = (told[0] - left) / dt_s, (told[1] - right) / dt_s
-        torque_left = own * gain_left + other * gain_right - load_left
-        torque_right = own * gain_right + other * gain_left - load_right
-        torque_left = min(max(torque_left, -told[2]), told[2]) + load_left
-        torque_right = min(max(torque_right, -told[3]), told[3]) + load_right
-        left += dt_s * (own * torque_left - other * torque_right) / det
-        right += dt_s * (own * torque_right - other * torque_left) / det
+        left, right = _turned(left, right, told, ahead, aside, drive, dt_s)
         # 2. Both wheels roll, and springs give way to what pushes the chair back.
-        before = v
+        push_mps2 = (0.5 * radius * (left + right) - v) / dt_s - ahead
         v, w = 0.5 * radius * (left + right), 0.5 * radius * (right - left) / half
-        push_mps2 = (v - before) / dt_s - ahead
         state[_PITCH_RADPS] += dt_s * (
             springs[2] * push_mps2 - springs[0] * (state[_PITCH] - springs[3]) - springs[1] * state[_PITCH_RADPS]
         )
@@ -292,57 +274,82 @@ def _roll(
         state[_X] += v * math.cos(middle) * dt_s
         state[_Y] += v * math.sin(middle) * dt_s
         state[_YAW] += w * dt_s
-        state[_LEFT_RADPS], state[_RIGHT_RADPS] = left, right
         blow = _blow(state[_LEFT_RAD], left * dt_s, radius) + _blow(state[_RIGHT_RAD], right * dt_s, radius)
         state[_LEFT_RAD] += left * dt_s
         state[_RIGHT_RAD] += right * dt_s
+        state[_LEFT_RADPS], state[_RIGHT_RADPS] = left, right
         cos, sin = math.cos(state[_YAW]), math.sin(state[_YAW])
         # 3. What the sensors sample: rotation, velocity of the frame's centre of mass, turn rate.
-        pitch_cos, pitch_sin = math.cos(state[_PITCH]), math.sin(state[_PITCH])
-        for k in range(3):
-            along = pitch_cos * lean[0, k] - pitch_sin * lean[2, k]
-            body[0, k] = cos * along - sin * lean[1, k]
-            body[1, k] = sin * along + cos * lean[1, k]
-            body[2, k] = pitch_sin * lean[0, k] + pitch_cos * lean[2, k]
-        nod = state[_PITCH_RADPS]
+        tip_cos, tip_sin, nod = math.cos(state[_PITCH]), math.sin(state[_PITCH]), state[_PITCH_RADPS]
         surge, swing = v - nod * drive[_COM_Z_M] - blow, w * drive[_COM_X_M] + blow
-        vx, vy, vz = cos * surge - sin * swing, sin * surge + cos * swing, nod * drive[_COM_X_M] + 0.5 * blow
+        heave = nod * drive[_COM_X_M] + 0.5 * blow
         for i in range(3):
-            for k in range(3):
-                rows[n, 3 * i + k] = tilt[i, 0] * body[0, k] + tilt[i, 1] * body[1, k] + tilt[i, 2] * body[2, k]
-            rows[n, 9 + i] = tilt[i, 0] * vx + tilt[i, 1] * vy + tilt[i, 2] * vz
-            rows[n, 12 + i] = tilt[i, 0] * nod * sin - tilt[i, 1] * nod * cos + tilt[i, 2] * w
-        # 4. Casters trail: the hub of each goes where its wheel points.
+            # The chair's directions on the plane: ahead, to the left, up.
+            fore, up = tilt[i, 0] * cos + tilt[i, 1] * sin, tilt[i, 2]
+            port = tilt[i, 1] * cos - tilt[i, 0] * sin
+            rows[n, 3 * i] = tip_cos * fore + tip_sin * up
+            rows[n, 3 * i + 1] = port
+            rows[n, 3 * i + 2] = tip_cos * up - tip_sin * fore
+            rows[n, 9 + i] = surge * fore + swing * port + heave * up
+            rows[n, 12 + i] = w * up - nod * port
+        # 4. Where the wheels' middles are; casters trail.
         for k in range(2 + len(casters)):
-            if k < 2:
-                bx, by, bz = 0.0, half if k == 0 else -half, radius
-            else:
-                x, y, trail, bz = casters[k - 2]
-                angle = turning[k - 2, _ANGLE]
-                px, py = v - w * y, w * x
-                rate = (py * math.cos(angle) - px * math.sin(angle)) / trail - w
-                angle += rate * dt_s
-                turning[k - 2, _ANGLE] = angle
-                spin = (px * math.cos(angle) + py * math.sin(angle)) / bz
-                turning[k - 2, _SPIN_RADPS] = spin
-                turning[k - 2, _TURNED] += spin * dt_s
-                bx, by = x - trail * math.cos(angle), y - trail * math.sin(angle)
-            hx = state[_X] + cos * bx - sin * by
-            hy = state[_Y] + sin * bx + cos * by
+            at = (0.0, half - 2.0 * half * k, radius)
+            if k >= 2:
+                at = _trail(casters[k - 2], turning[k - 2], v, w, dt_s)
+            hx = state[_X] + cos * at[0] - sin * at[1]
+            hy = state[_Y] + sin * at[0] + cos * at[1]
             for i in range(3):
-                hubs[n, k, i] = tilt[i, 0] * hx + tilt[i, 1] * hy + tilt[i, 2] * bz
+                hubs[n, k, i] = tilt[i, 0] * hx + tilt[i, 1] * hy + tilt[i, 2] * at[2]
+
+
+@compile_exact_kernel
+def _trail(caster: F64, turning: F64, v: float, w: float, dt_s: float) -> tuple[float, float, float]:
+    """Turn a caster as its wheel rolls; the middle of that wheel in B."""
+    x, y, trail, radius = caster
+    ahead, aside = v - w * y, w * x
+    cos, sin = math.cos(turning[_ANGLE]), math.sin(turning[_ANGLE])
+    turning[_ANGLE] += ((aside * cos - ahead * sin) / trail - w) * dt_s
+    cos, sin = math.cos(turning[_ANGLE]), math.sin(turning[_ANGLE])
+    turning[_SPIN_RADPS] = (ahead * cos + aside * sin) / radius
+    turning[_TURNED] += turning[_SPIN_RADPS] * dt_s
+    return x - trail * cos, y - trail * sin, radius
+
+
+@compile_exact_kernel
+def _turned(
+    left: float,
+    right: float,
+    told: tuple[float, float, float, float],
+    ahead_mps2: float,
+    aside_mps2: float,
+    drive: F64,
+    dt_s: float,
+) -> tuple[float, float]:
+    """The speeds of both drive wheels after a step: those that they are told, within the torques."""
+    own, other, radius, half = drive[_OWN], drive[_OTHER], drive[_RADIUS_M], drive[_HALF_M]
+    v, w = 0.5 * radius * (left + right), 0.5 * radius * (right - left) / half
+    # The push of the weight, and of the mass that lies ahead of the axle in a turn.
+    push = 0.5 * radius * (drive[_AHEAD] * ahead_mps2 + drive[_ASIDE] * w * w)
+    twist = 0.5 * radius * drive[_ASIDE] * (aside_mps2 - v * w) / half
+    gain_left, gain_right = (told[0] - left) / dt_s, (told[1] - right) / dt_s
+    torque_left = own * gain_left + other * gain_right - (push - twist)
+    torque_right = own * gain_right + other * gain_left - (push + twist)
+    torque_left = min(max(torque_left, -told[2]), told[2]) + push - twist
+    torque_right = min(max(torque_right, -told[3]), told[3]) + push + twist
+    step = dt_s / (own * own - other * other)
+    return (
+        left + step * (own * torque_left - other * torque_right),
+        right + step * (own * torque_right - other * torque_left),
+    )
 
 
 @compile_exact_kernel
 def _blow(turned_rad: float, turn_rad: float, radius_m: float) -> float:
     """The speed that an edge of the ground gives a wheel in a step: by its way, the same each time."""
     notch = math.floor((turned_rad + turn_rad) * radius_m / _NOTCH_M)
-    if notch == math.floor(turned_rad * radius_m / _NOTCH_M):
+    drawn = notch * 40503 % 65536
+    drawn = (drawn ^ (drawn >> 7)) * 30011 % 65536
+    if notch == math.floor(turned_rad * radius_m / _NOTCH_M) or drawn % _NOTCHES_A_BLOW:
         return 0.0
-    drawn = (notch * 2654435761 + 12345) & 0xFFFFFFFF
-    drawn = ((drawn ^ (drawn >> 15)) * 2246822519) & 0xFFFFFFFF
-    drawn ^= drawn >> 13
-    if drawn % _NOTCHES_A_BLOW:
-        return 0.0
-    size = _BLOW_MPS * float((drawn >> 8) & 0xFF) / 255.0
-    return size if drawn & 0x10000 else -size
+    return _BLOW_MPS * (drawn / 32768.0 - 1.0)

@@ -169,7 +169,12 @@ class Wheelchair:
         """Go through a tick as `rolled` says; the body in the engine lies aside."""
         if not self._rolls:
             self._rolls = True
-            self._lay_aside()
+            body, bullet = self._body.id, self._engine.bullet
+            bullet.resetBasePositionAndOrientation(body, self._aside_m, quaternion_from_ypr(0.0))
+            bullet.resetBaseVelocity(body, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+            # A motor that turns would wake it.
+            self._set_motors(_MOTORS_OFF)
+            self._wake(False)
         self._p_com_W_m, self._q_WB, self._v_W_mps, self._w_W_radps, joints = tick.motion
         self._joints = tuple(joints)
         self._rotation = matrix_from_quaternion(self._q_WB)
@@ -389,14 +394,6 @@ class Wheelchair:
         self._set_motors(_MOTORS_OFF)
         self.sensors.reset(BodyMotion(self._rotation))
         self._update_tag()
-
-    def _lay_aside(self) -> None:
-        body, bullet = self._body, self._engine.bullet
-        bullet.resetBasePositionAndOrientation(body.id, self._aside_m, quaternion_from_ypr(0.0))
-        bullet.resetBaseVelocity(body.id, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        # A motor that turns would wake it.
-        self._set_motors(_MOTORS_OFF)
-        self._wake(False)
 
     def _set_motors(self, wanted: tuple[float, float, float, float]) -> None:
         """Target speeds and torque limits of the drive wheels."""

@@ -307,7 +307,11 @@ class WatchedClientProcess(_Supervised[states.ClientStatusReport]):
             self._crash = ""
             self._replace(message, now_s, step=step)
             return
-        # 3. It died. Without a world it could not make progress, which is excused for a while.
+        # 3. It died.
+        self._restart_after_crash(code, message, now_s, step)
+
+    def _restart_after_crash(self, code: int, message: str, now_s: float, step: int) -> None:
+        # Without a world it could not make progress, which is excused for a while.
         no_world = self._world is None or self._world.stage == "loading"
         if code == states.ClientExitCode.SERVER_GONE and no_world:
             self._excused_deaths += 1

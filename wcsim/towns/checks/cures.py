@@ -200,20 +200,26 @@ class Cures:
         more = f" -a {_paths(needed)}" if needed else ""
         # SUMO takes each type once.
         more += " --vtype-output /dev/null" if typed and not twice else ""
-        first = ""
-        if deadly:
-            first += f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, "
-        if twice:
-            first += f"remove the vehicle types from {', '.join(twice)}, "
-            first += f"because {_ROUTED} will contain them, "
         return (
-            f"{first}create {_ROUTED} with this command, and name it in {self._sumocfg}: "
+            f"{_by_hand(deadly, twice)}"
+            f"create {_ROUTED} with this command, and name it in {self._sumocfg}: "
             f"{_tool('duarouter')} -n {self._net} -r {_paths(town.routes)}{more} "
             f"--unsorted-input --ignore-errors -o {self._beside(_ROUTED)}"
         )
 
     def _beside(self, name: str) -> str:
         return _path(self._town.sumocfg.with_name(name))
+
+
+def _by_hand(deadly: list[str], twice: list[str]) -> str:
+    """What has to be done to files of these names before a demand is routed again."""
+    first = ""
+    if deadly:
+        first += f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, "
+    if twice:
+        first += f"remove the vehicle types from {', '.join(twice)}, "
+        first += f"because {_ROUTED} will contain them, "
+    return first
 
 
 def _whole(path: Path, town: Town) -> dict[Path, Element]:

@@ -83,10 +83,14 @@ def _scan_net(root: Element, where: str) -> None:
             f"{where}: has no junction; expected a street net: build it with netconvert"
         )
     scan_numbers(root, where)
+    _scan_size(root, edges, where)
+    _scan_shapes(root, edges, where)
 
-    # Refuse a town of less than a metre or of hundreds of kilometres. One of less than a metre was
-    # never projected: its coordinates are degrees. Lanes are drawn metres wide around them, so what
-    # counts is how far its junctions are from each other.
+
+def _scan_size(root: Element, edges: list[Element], where: str) -> None:
+    """Refuse a town of less than a metre or of hundreds of kilometres. Raises TownError."""
+    # A town of less than a metre was never projected: its coordinates are degrees. Lanes are drawn
+    # metres wide around them, so what counts is how far its junctions are from each other.
     again = "build it again from the same files, with netconvert's option --proj.utm"
     lanes = [lane for edge in edges for lane in edge.iterfind("lane")]
     span_m = _span_m([place for lane in lanes for place in _places(lane)])
@@ -105,8 +109,10 @@ def _scan_net(root: Element, where: str) -> None:
             f"expected at most {LARGEST_M / 1e3:.0f} km: {again}"
         )
 
-    # Refuse lanes that are drawn to places far away: one of them makes a small town hundreds of
-    # kilometres large.
+
+def _scan_shapes(root: Element, edges: list[Element], where: str) -> None:
+    """Refuse lanes and junctions that are drawn to places far away. Raises TownError."""
+    # One such lane makes a small town hundreds of kilometres large.
     streets = [edge for edge in edges if edge.get("function") != "walkingarea"]
     for lane in (lane for edge in streets for lane in edge.iterfind("lane")):
         drawn_m = sum(math.dist(*ends) for ends in itertools.pairwise(_places(lane)))

@@ -52,7 +52,7 @@ def make_buildings(
     What stands on the street (arcades, passages) or outside the town is cut off.
     """
     # 1. Tell what stands from what starts on an upper floor.
-    solid, raised = _composed(_outlines(items, hull))
+    solid, raised = _composed(_hollowed(*_outlines(items, hull)))
 
     # 2. Clear what stands of the street. No ground is taken twice: what comes first has it.
     patches = Patches(street)
@@ -65,7 +65,7 @@ def make_buildings(
         area = body.area.difference(shapely.union_all(before).buffer(0.02)) if before else body.area
         body = replace(body, area=_areas(area))
         taken.append(body.area)
-        near = patches.near(_around(body.area))
+        near = patches.near(_around(body.area, 1.0))
         gap = buffered(near, GAP_M, join_style="mitre", mitre_limit=2.0)
         parts = [part for part in _cleared(body.area.difference(gap)) if not part.intersects(near)]
         standing += [Building(outline=part, height_m=body.height_m) for part in parts]
@@ -73,7 +73,7 @@ def make_buildings(
 
     # 3. What starts on an upper floor starts higher up where it reaches over the street.
     for body in raised:
-        above = _widened(patches.near(_around(body.area)))
+        above = _widened(patches.near(_around(body.area, 1.0)))
         beside, over = body.area.difference(above), body.area.intersection(above)
         for area, low_m in ((beside, body.rise_m), (over, max(body.rise_m, PASSAGE_M))):
             if body.height_m > low_m + 0.3:
@@ -84,8 +84,8 @@ def make_buildings(
     return standing, overhead
 
 
-def _outlines(items: list[Item], hull: BaseGeometry) -> list[_Body]:
-    """All outlines of buildings and their parts, without courtyards, the large ones first."""
+def _outlines(items: list[Item], hull: BaseGeometry) -> tuple[list[_Body], list[BaseGeometry]]:
+    """All outlines of buildings and their parts, the large ones first, and those of courtyards."""
     shapely.prepare(hull)
     bodies: list[_Body] = []
     courtyards: list[BaseGeometry] = []
@@ -111,18 +111,7 @@ def _outlines(items: list[Item], hull: BaseGeometry) -> list[_Body]:
             height_m = max(_height_m(item, area.area), least_m)
             is_part = item.detail == "part"
             bodies.append(_Body(area=area, rise_m=low_m, height_m=height_m, part=is_part))
-
-    # Cut the courtyards out of the buildings around them.
-    tree = shapely.STRtree(courtyards)
-    hollowed: list[_Body] = []
-    for body in sorted(bodies, key=lambda body: -body.area.area):
-        inside = [courtyards[i] for i in sorted(tree.query(body.area).tolist())]
-        inside = [yard for yard in inside if yard.area < 0.98 * body.area.area]
-        yards = [y for y in inside if y.intersection(body.area).area > 0.9 * y.area]
-        if yards:
-            body = replace(body, area=_areas(body.area.difference(shapely.union_all(yards))))
-        hollowed.append(body)
-    return hollowed
+    return sorted(bodies, key=lambda body: -body.area.area), courtyards
 
 
 def _hidden(item: Item) -> bool:
@@ -134,6 +123,20 @@ def _hidden(item: Item) -> bool:
         or number(item.tags, "layer") < 0.0
         or number(item.tags, "building:levels") < 0.0
     )
+
+
+def _hollowed(bodies: list[_Body], courtyards: list[BaseGeometry]) -> list[_Body]:
+    """The same bodies, with courtyards cut out of the buildings around them."""
+    tree = shapely.STRtree(courtyards)
+    hollowed: list[_Body] = []
+    for body in bodies:
+        inside = [courtyards[i] for i in sorted(tree.query(body.area).tolist())]
+        inside = [yard for yard in inside if yard.area < 0.98 * body.area.area]
+        yards = [y for y in inside if y.intersection(body.area).area > 0.9 * y.area]
+        if yards:
+            body = replace(body, area=_areas(body.area.difference(shapely.union_all(yards))))
+        hollowed.append(body)
+    return hollowed
 
 
 def _composed(bodies: list[_Body]) -> tuple[list[_Body], list[_Body]]:
@@ -220,10 +223,9 @@ def _areas(geometry: BaseGeometry) -> BaseGeometry:
     return polygons[0] if len(polygons) == 1 else MultiPolygon(polygons)
 
 
-def _around(area: BaseGeometry) -> tuple[float, float, float, float]:
-    """Bounds with a metre around them."""
+def _around(area: BaseGeometry, margin_m: float) -> tuple[float, float, float, float]:
     x0, y0, x1, y1 = area.bounds if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
-    return x0 - 1.0, y0 - 1.0, x1 + 1.0, y1 + 1.0
+    return x0 - margin_m, y0 - margin_m, x1 + margin_m, y1 + margin_m
 
 
 def _height_m(item: Item, area_m2: float) -> float:

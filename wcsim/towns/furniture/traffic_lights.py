@@ -71,15 +71,9 @@ def signal_things(
         if link.tls_id and link.tls_link >= 0:
             links[link.start].append(link)
     for approach in _find_approaches(net):
-        groups: dict[tuple[str, str], tuple[str, int]] = {}
-        own = links.get(approach.edge_id, [])
-        for link in sorted(own, key=lambda link: (link.start_lane, link.tls_link)):
-            number = link.tls_link
-            phases = states.get(link.tls_id, [])
-            column = "".join(state[number] if number < len(state) else "-" for state in phases)
-            groups.setdefault((link.tls_id, column or str(number)), (link.tls_id, number))
+        groups = _groups(links.get(approach.edge_id, []), states)
         if groups:
-            found.append(_at_kerb(approach, list(groups.values()), place))
+            found.append(_at_kerb(approach, groups, place))
             place.take(found[-1:])
 
     # 2. Signals of people on foot: at each end of a crossing a head that is seen from the other.
@@ -143,6 +137,17 @@ def _find_approaches(net: Net) -> list[_Approach]:
             )
             found.append(approach)
     return found
+
+
+def _groups(links: list[Connection], states: dict[str, list[str]]) -> _Groups:
+    """One link for each set of links that always show the same colour."""
+    found: dict[tuple[str, str], tuple[str, int]] = {}
+    for link in sorted(links, key=lambda link: (link.start_lane, link.tls_link)):
+        number = link.tls_link
+        phases = states.get(link.tls_id, [])
+        column = "".join(state[number] if number < len(state) else "-" for state in phases)
+        found.setdefault((link.tls_id, column or str(number)), (link.tls_id, number))
+    return list(found.values())
 
 
 def _at_kerb(approach: _Approach, groups: _Groups, place: FreeGround) -> StandingObject:

@@ -8,7 +8,7 @@ import shapely
 import shapely.affinity
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane_geometry import Patches, buffered, left_of, units
+from wcsim.towns.ground.plane_geometry import Patches, buffered
 from wcsim.towns.ground.surfaces import GRID_M, Surfaces
 from wcsim.types import F64
 
@@ -108,21 +108,27 @@ def make_kerbing(
             near = shapely.shortest_line(kerb, mark.line).interpolate(0.0).buffer(HALF_WIDTH_M)
         elsewhere += [(line, mark.height_m) for line in _lines(kerb.intersection(near))]
 
-    # 4. Gather the lines of kerbs by their heights, where these are less than the full one.
+    kerbs = [*zip(mouths, lips_m, strict=True), *elsewhere]
+    return Kerbing(top_m=top_m, lowered=_lowered_by_height(kerbs, top_m))
+
+
+def _lowered_by_height(
+    kerbs: Iterable[tuple[BaseGeometry, float]], top_m: float
+) -> tuple[_Lowered, ...]:
+    """Lines of kerbs, each with its height, gathered where that is less than the full one."""
     groups: dict[float, list[BaseGeometry]] = {}
-    for line, lip_m in (*zip(mouths, lips_m, strict=True), *elsewhere):
+    for line, lip_m in kerbs:
         if lip_m < top_m:
             groups.setdefault(lip_m, []).append(line)
-    lowered = tuple(
+    return tuple(
         _Lowered(
             drop_m=lip_m,
             ramp_m=_RAMP_RUN * (top_m - lip_m),
-            lines=shapely.MultiLineString(group),
-            tree=shapely.STRtree(group),
+            lines=shapely.MultiLineString(groups[lip_m]),
+            tree=shapely.STRtree(groups[lip_m]),
         )
-        for lip_m, group in sorted(groups.items())
+        for lip_m in sorted(groups)
     )
-    return Kerbing(top_m=top_m, lowered=lowered)
 
 
 def _along(mark: KerbMark, kerb: BaseGeometry) -> BaseGeometry:
@@ -135,8 +141,10 @@ def _along(mark: KerbMark, kerb: BaseGeometry) -> BaseGeometry:
         shapely.get_coordinates(shapely.line_interpolate_point(line, at_m + step))
         for step in (-0.1, 0.1)
     )
-    there = here + _ACROSS_M * left_of(units(ahead - here))
-    rays = shapely.linestrings(np.stack([here, there], axis=1))
+    along = (ahead - here) / np.maximum(np.linalg.norm(ahead - here, axis=1, keepdims=True), 1e-9)
+    rays = shapely.linestrings(
+        np.stack([here, here + _ACROSS_M * np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
+    )
     hits = shapely.intersection(rays, kerb)
     # A ray that meets nothing has no such point.
     first = shapely.get_point(shapely.shortest_line(hits, shapely.points(here)), 0)

@@ -175,7 +175,7 @@ def _on_bridge(samples: _Samples) -> Bool:
     # 2. Mark their ways to both sides. The key is ascending, as ways follow each other.
     key_m = samples.way * FAR_M + samples.arc_m
     here_m = key_m[np.unique(np.concatenate(over))]
-    ends = np.zeros(len(places) + 1, dtype=np.int64)
+    ends = np.zeros(len(places) + 1, np.int64)
     np.add.at(ends, np.searchsorted(key_m, here_m - BRIDGE_M), 1)
     np.add.at(ends, np.searchsorted(key_m, here_m + BRIDGE_M), -1)
     return np.cumsum(ends)[:-1] > 0

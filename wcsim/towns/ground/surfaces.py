@@ -144,17 +144,8 @@ def covered(surfaces: Surfaces, items: Iterable[Item], net: Net) -> Surfaces:
     greens = [item for item in items if item.kind in _GREEN.get(item.group, "").split()]
     green = _area(greens)
 
-    # 2. Make the bare ground of squares pavement, but for the streets over it. A lawn or a car park
-    #    lies on a square that is larger, and a park around one that is smaller.
-    lawns = [_area([item]) for item in greens]
-    tree = shapely.STRtree(lawns)
-    bare: list[BaseGeometry] = []
-    for item in items:
-        closed = bool((item.points_W_m[0] == item.points_W_m[-1]).all())
-        if closed and (item.group, item.kind) in _SQUARES:
-            area = _area([item])
-            smaller = [lawns[k] for k in tree.query(area) if lawns[k].area < area.area]
-            bare.append(area.difference(shapely.union_all([parking, *smaller])))
+    # 2. Make the bare ground of squares pavement, but for the streets over it.
+    bare = _bare_squares(items, [_area([item]) for item in greens], parking)
     if bare:
         square = shapely.union_all(bare)
         street = _driven_on(ground_of(net.lanes(LaneKind.MOTOR, LaneKind.RAIL)))
@@ -226,6 +217,25 @@ def _without_small_holes(low: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
     if not small:
         return low
     return _areas(shapely.set_precision(shapely.union_all([low, *small]), GRID_M))
+
+
+def _bare_squares(
+    items: Iterable[Item], lawns: list[BaseGeometry], parking: BaseGeometry
+) -> list[BaseGeometry]:
+    """The bare ground of each square.
+
+    A lawn or a car park lies on a square that is larger, and a park around one that is smaller.
+    """
+    tree = shapely.STRtree(lawns)
+    bare: list[BaseGeometry] = []
+    for item in items:
+        closed = bool((item.points_W_m[0] == item.points_W_m[-1]).all())
+        if not closed or (item.group, item.kind) not in _SQUARES:
+            continue
+        area = _area([item])
+        smaller = [lawns[k] for k in tree.query(area) if lawns[k].area < area.area]
+        bare.append(area.difference(shapely.union_all([parking, *smaller])))
+    return bare
 
 
 def _polygon(points_m: np.ndarray) -> BaseGeometry:

@@ -90,13 +90,7 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> tuple[list[st
     vehicles: list[str] = []
     root = read_root(poly)
     lots = sorted(_lots(root))
-    # The lanes of streets that are long enough to lead to a car park.
-    lanes = [
-        lane
-        for edge in net.streets
-        for lane in edge.lanes
-        if lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and lane.is_line
-    ]
+    lanes = _lanes_for_cars(net)
     if not lots or taken <= 0.0 or not lanes:
         return areas, vehicles
     lines = [shapely.LineString(lane.points_m) for lane in lanes]
@@ -113,22 +107,8 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> tuple[list[st
         left -= len(spaces)
         # 2. SUMO fills them one after the other, so their order is drawn.
         spaces = [spaces[i] for i in rng.permutation(len(spaces))]
-        name, lane, line = f"lot.{lot_id}", lanes[nearest], lines[nearest]
-        share = line.project(shapely.Point(lot.centroid)) / line.length
-        end_m = min(max(share * lane.length_m, _LEAST_LANE_M - 1.0), lane.length_m - 0.5)
-        there = int(np.hypot(*(lane.points_m - np.array(lot.centroid.coords[0])).T).argmin())
-        z_m = float(lane.z_m[there])
-        head = f"<parkingArea id={quoteattr(name)} lane={quoteattr(lane.id)}"
-        span = f'startPos="{max(0.0, end_m - 10.0):.2f}" endPos="{end_m:.2f}"'
-        areas.append(f'{head} {span} roadsideCapacity="0">')
-        for space in spaces:
-            nose = np.array([np.cos(space.yaw_rad), np.sin(space.yaw_rad)])
-            x_m, y_m = space.middle_m + _CAR_NOSE_M * nose
-            # SUMO's spaces turn counter-clockwise from south.
-            angle_deg = (90.0 + rad2deg(space.yaw_rad)) % 360.0
-            size = f'width="{space.width_m}" length="{space.length_m}" angle="{angle_deg:.1f}"'
-            areas.append(f'    <space x="{x_m:.2f}" y="{y_m:.2f}" z="{z_m:.2f}" {size}/>')
-        areas.append("</parkingArea>")
+        name, lane = f"lot.{lot_id}", lanes[nearest]
+        areas += _area(name, lane, lines[nearest], lot, spaces)
         # 3. Cars that stand there from the start, and never leave.
         stop = f'<stop parkingArea={quoteattr(name)} duration="{_STAY_S}"/>'
         route = f"<route edges={quoteattr(lane.edge_id)}/>"
@@ -239,6 +219,16 @@ def _lots(root: Element) -> Iterator[tuple[str, Polygon]]:
                 yield element.get("id", ""), lot
 
 
+def _lanes_for_cars(net: Net) -> list[Lane]:
+    """The lanes of streets that are long enough to lead to a car park."""
+    return [
+        lane
+        for edge in net.streets
+        for lane in edge.lanes
+        if lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and lane.is_line
+    ]
+
+
 def _town_and_used(net: Net, root: Element) -> tuple[BaseGeometry, BaseGeometry]:
     """Where there is ground, which ends near the last streets, and where something is on it."""
     lanes = ground_of(net.every_lane).buffer(FREE_M)
@@ -292,6 +282,27 @@ def _spaces(lot: Polygon) -> list[_Space]:
             if lot.buffer(FREE_M).contains(space.footprint()):
                 found.append(space)
     return found
+
+
+def _area(
+    name: str, lane: Lane, line: shapely.LineString, lot: Polygon, spaces: list[_Space]
+) -> list[str]:
+    share = line.project(shapely.Point(lot.centroid)) / line.length
+    end_m = min(max(share * lane.length_m, _LEAST_LANE_M - 1.0), lane.length_m - 0.5)
+    nearest = int(np.hypot(*(lane.points_m - np.array(lot.centroid.coords[0])).T).argmin())
+    z_m = float(lane.z_m[nearest])
+    head = f"<parkingArea id={quoteattr(name)} lane={quoteattr(lane.id)}"
+    lines = [
+        f'{head} startPos="{max(0.0, end_m - 10.0):.2f}" endPos="{end_m:.2f}" roadsideCapacity="0">'
+    ]
+    for space in spaces:
+        nose = np.array([np.cos(space.yaw_rad), np.sin(space.yaw_rad)])
+        x_m, y_m = space.middle_m + _CAR_NOSE_M * nose
+        # SUMO's spaces turn counter-clockwise from south.
+        angle_deg = (90.0 + rad2deg(space.yaw_rad)) % 360.0
+        size = f'width="{space.width_m}" length="{space.length_m}" angle="{angle_deg:.1f}"'
+        lines.append(f'    <space x="{x_m:.2f}" y="{y_m:.2f}" z="{z_m:.2f}" {size}/>')
+    return [*lines, "</parkingArea>"]
 
 
 def _unmarked_point(lane: Lane) -> str:

@@ -104,11 +104,12 @@ def strip_orphans(root: Element) -> None:
 
 def denied_crossings(root: Element) -> list[str]:
     """The nodes at which the map says that there is no crossing."""
-    return [
-        node.get("id", "")
+    found = [
+        node
         for node in root.iterfind("node")
         if meanings("crossings", _read_tags(node)).get("built") == "no"
     ]
+    return [node.get("id", "") for node in found]
 
 
 def crossed_edges(root: Element) -> list[str]:
@@ -165,20 +166,12 @@ def cut_bridges(root: Element, keep_service: bool = False) -> tuple[str, ...]:
         upper, lower = (low, high) if ways[low].train and not ways[high].train else (high, low)
         rest = ways[lower].without(cuts.get(lower, set()))
         for segment in _over(ways[upper], rest, set(ways[lower].nodes)):
-            # From the junction before this segment to the one after it.
-            nodes, first, last = ways[upper].nodes, segment, segment + 1
-            while first > 0 and uses[nodes[first]] < 2:
-                first -= 1
-            while last < len(nodes) - 1 and uses[nodes[last]] < 2:
-                last += 1
-            cuts.setdefault(upper, set()).update(range(first, last))
+            part = _between_junctions(ways[upper].nodes, segment, uses)
+            cuts.setdefault(upper, set()).update(part)
     # 2. Take them out. Railways are not named, for no trains run.
     _remove_segments(root, [(ways[number], removed) for number, removed in sorted(cuts.items())])
-    names = set()
-    for tags in (_read_tags(ways[number].element) for number in cuts if not ways[number].train):
-        kind = tags.get("highway") or tags.get("railway")
-        names.add(tags.get("name") or tags.get("ref") or f"a {kind} without a name")
-    return tuple(sorted(names))
+    named = (ways[number] for number in cuts if not ways[number].train)
+    return tuple(sorted({_name_or_kind(way.element) for way in named}))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -265,16 +258,10 @@ def map_ways(root: Element, box: Box) -> tuple[_MapWay, ...]:
         tags = _read_tags(item)
         highway = tags.get("highway")
         street = highway in _TAGS["streets"] and not _is_hidden(tags) and tags.get("area") != "yes"
-        foot = tags.get("foot")
-        is_shared = highway == "cycleway" and foot in ("yes", "designated")
-        is_footway = is_shared or (highway in _TAGS["footways"] and foot != "no")
-        if not street and not is_footway:
+        if not street and not _is_footway(tags):
             continue
         # 2. Its line; of an area of several ways their outlines.
-        refs = [item.get("id", "")] if item.tag == "way" else []
-        if item.tag == "relation" and tags.get("type") == "multipolygon":
-            members = item.iterfind("member[@type='way']")
-            refs = [way.get("ref", "") for way in members if way.get("role") != "inner"]
+        refs = [item.get("id", "")] if item.tag == "way" else _outlines(item, tags)
         parts = [lines[ref] for ref in refs if ref in lines]
         way = _MapWay(
             id=f"{'relation ' * (item.tag == 'relation')}{item.get('id', '').lstrip('-')}",
@@ -503,6 +490,16 @@ def _over(way: _Way, other: shapely.MultiLineString, joined: set[str]) -> list[i
     return found
 
 
+def _between_junctions(nodes: tuple[str, ...], segment: int, uses: Counter[str]) -> range:
+    """Segments of a way from the junction before one of them to the junction after it."""
+    first, last = segment, segment + 1
+    while first > 0 and uses[nodes[first]] < 2:
+        first -= 1
+    while last < len(nodes) - 1 and uses[nodes[last]] < 2:
+        last += 1
+    return range(first, last)
+
+
 def _remove_segments(root: Element, cuts: list[tuple[_Way, set[int]]]) -> None:
     """Take segments out of ways; of a way that falls apart all pieces but one are new ways."""
     ids = [int(way.get("id", "0")) for way in root.iterfind("way")]
@@ -524,6 +521,12 @@ def _remove_segments(root: Element, cuts: list[tuple[_Way, set[int]]]) -> None:
             root.insert(place + number, piece)
 
 
+def _name_or_kind(way: Element) -> str:
+    tags = _read_tags(way)
+    kind = tags.get("highway") or tags.get("railway")
+    return tags.get("name") or tags.get("ref") or f"a {kind} without a name"
+
+
 def _places(root: Element) -> dict[str, tuple[float, float]]:
     """Longitude and latitude of each node of an extract."""
     return {
@@ -535,6 +538,21 @@ def _places(root: Element) -> dict[str, tuple[float, float]]:
 def _footway_text(way: _MapWay) -> str:
     name = " ".join(filter(None, (way.id, way.name)))
     return f"{name} ({way.inside_m:.0f} m{', ' * bool(way.why)}{way.why})"
+
+
+def _is_footway(tags: dict[str, str]) -> bool:
+    """Whether it is a way for walkers, or for cyclists and walkers."""
+    highway, foot = tags.get("highway"), tags.get("foot")
+    is_shared = highway == "cycleway" and foot in ("yes", "designated")
+    return is_shared or (highway in _TAGS["footways"] and foot != "no")
+
+
+def _outlines(relation: Element, tags: dict[str, str]) -> list[str]:
+    """Ids of the ways around the area that a relation is; none where it is no area."""
+    if tags.get("type") != "multipolygon":
+        return []
+    ways = relation.iterfind("member[@type='way']")
+    return [way.get("ref", "") for way in ways if way.get("role") != "inner"]
 
 
 def _inside_m(points: list[tuple[float, float]], box: Box) -> float:

@@ -201,27 +201,9 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
         )
         raise _other(path, _DATA["roots"].get(root.tag, foreign))
 
-    # 2. Find the places of the nodes of its streets, street by street.
-    places, streets = _places(root, path), _streets(root)
-    lines = [
-        [places[ref] for nd in way.iterfind("nd") if (ref := nd.get("ref", "")) in places]
-        for way in streets
-    ]
-    bare = sum(len(line) < 2 for line in lines)
-    if 2 * bare > len(streets):
-        raise TownError(
-            f"{path}: {bare} of its {len(streets)} streets have no nodes, "
-            f"as after Overpass' out geom; {EXPECTED}, with nodes: "
-            "end the query with (._;>;); out body;"
-        )
-    if not streets:
-        remark = root.findtext("remark", "").strip()
-        answer = f" (the server said: {escape(remark, 200)})" if remark else ""
-        raise TownError(
-            f"{path}: is not an OpenStreetMap extract with streets in it{answer}; "
-            f"{EXPECTED}, with streets"
-        )
-    nodes = [place for line in lines for place in line]
+    # 2. Find the places of its streets.
+    places = _places(root, path)
+    nodes = _street_nodes(root, places, path)
 
     # 3. Choose the box, and cut.
     cover, named = _cover(nodes), box or _bounds(root)
@@ -390,6 +372,36 @@ def _place(node: Element, path: Path) -> tuple[float, float] | None:
     )
 
 
+def _street_nodes(
+    root: Element, places: dict[str, tuple[float, float]], path: Path
+) -> list[tuple[float, float]]:
+    """The places of the nodes of all streets, street by street.
+
+    Raises:
+        TownError: There are no streets, or most of them have no nodes.
+    """
+    streets = _streets(root)
+    lines = [
+        [places[ref] for nd in way.iterfind("nd") if (ref := nd.get("ref", "")) in places]
+        for way in streets
+    ]
+    bare = sum(len(line) < 2 for line in lines)
+    if 2 * bare > len(streets):
+        raise TownError(
+            f"{path}: {bare} of its {len(streets)} streets have no nodes, "
+            f"as after Overpass' out geom; {EXPECTED}, with nodes: "
+            "end the query with (._;>;); out body;"
+        )
+    if not streets:
+        remark = root.findtext("remark", "").strip()
+        answer = f" (the server said: {escape(remark, 200)})" if remark else ""
+        raise TownError(
+            f"{path}: is not an OpenStreetMap extract with streets in it{answer}; "
+            f"{EXPECTED}, with streets"
+        )
+    return [place for line in lines for place in line]
+
+
 def _streets(root: Element) -> list[Element]:
     return [
         way
@@ -433,21 +445,8 @@ def _bounds(root: Element) -> Box | None:
 
 def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> None:
     """Leave in `root` what lies around a box, in order and spelt in one way; no users' names."""
-    # 1. Find the nodes and ways around the box; these lose what is too far.
-    near, far = box.grown(MARGIN_M), box.grown(FAR_M)
-    inside = {key for key, place in places.items() if near.holds(place)}
-    reachable = {key for key, place in places.items() if far.holds(place)}
-    nodes, ways, elsewhere = set(inside), set(), set()
-    for way in root.iterfind("way"):
-        way[:] = [child for child in way if child.tag != "nd" or child.get("ref") in reachable]
-        refs = {nd.attrib["ref"] for nd in way.iterfind("nd")}
-        is_new = "id" in way.attrib and way.get("id") not in ways
-        if len(refs) < 2 or refs.isdisjoint(inside) or not is_new:
-            elsewhere.add(way)
-        else:
-            nodes |= refs
-            ways.add(way.attrib["id"])
-    # 2. Leave out what is elsewhere.
+    # 1. Leave out what is elsewhere.
+    nodes, ways, elsewhere = _needed(root, places, box)
     found = []
     for item in root:
         if item.tag == "node":
@@ -460,7 +459,7 @@ def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> Non
         if is_needed:
             found.append(item)
     root[:] = found
-    # 3. Spell the rest in one way.
+    # 2. Spell the rest in one way.
     for item in root:
         for key in ("version", "timestamp", "changeset", "uid", "user", "visible", "action"):
             item.attrib.pop(key, None)
@@ -478,3 +477,23 @@ def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> Non
     root.attrib.clear()
     root.set("version", "0.6")
     ElementTree.indent(root, "")
+
+
+def _needed(
+    root: Element, places: dict[str, tuple[float, float]], box: Box
+) -> tuple[set[str], set[str], set[Element]]:
+    """Ids of the nodes and ways around a box, and the ways elsewhere; ways lose what is too far."""
+    near, far = box.grown(MARGIN_M), box.grown(FAR_M)
+    inside = {key for key, place in places.items() if near.holds(place)}
+    reachable = {key for key, place in places.items() if far.holds(place)}
+    nodes, ways, elsewhere = set(inside), set(), set()
+    for way in root.iterfind("way"):
+        way[:] = [child for child in way if child.tag != "nd" or child.get("ref") in reachable]
+        refs = {nd.attrib["ref"] for nd in way.iterfind("nd")}
+        is_new = "id" in way.attrib and way.get("id") not in ways
+        if len(refs) < 2 or refs.isdisjoint(inside) or not is_new:
+            elsewhere.add(way)
+        else:
+            nodes |= refs
+            ways.add(way.attrib["id"])
+    return nodes, ways, elsewhere

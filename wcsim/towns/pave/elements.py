@@ -398,14 +398,10 @@ def _program(logic: Element, paving: Paving, in_net: bool) -> bool:
     if not in_net:
         paving.overridden.add(signal)
     given = [phase.get("state", "") for phase in phases]
+    durations_s = [_number(phase.get("duration")) or 0.0 for phase in phases]
+    # A state of each ring is shown at once, and none alone tells which vehicles drive.
     rings = logic.get("type") == _RINGS
-    if rings:
-        # A state of each ring is shown at once, and none alone tells which vehicles drive.
-        lights = [_with_crossings(_moved(state, links), frozenset(), links) for state in given]
-        states = tuple(map("".join, lights))
-    else:
-        durations_s = [_number(phase.get("duration")) or 0.0 for phase in phases]
-        states = _padded(given, durations_s, links)
+    states = _all_red(given, links) if rings else _padded(given, durations_s, links)
     for link, edges in links.crossings.items():
         if all(state[link] == "r" for state in states):
             never = _NeverGreen(signal=signal, edge=min(edges), in_net=in_net, rings=rings)
@@ -413,6 +409,12 @@ def _program(logic: Element, paving: Paving, in_net: bool) -> bool:
     for phase, state in zip(phases, states, strict=True):
         phase.set("state", state)
     return tuple(given) != states
+
+
+def _all_red(states: Sequence[str], links: _SignalLinks) -> tuple[str, ...]:
+    """The states of a program, in their order, with each new crossing at red."""
+    moved = [_moved(state, links) for state in states]
+    return tuple("".join(_with_crossings(lights, frozenset(), links)) for lights in moved)
 
 
 def _padded(
@@ -438,14 +440,8 @@ def _padded(
         while changing[then] and (then + 1) % len(changing) != number:
             then = (then + 1) % len(changing)
         green = {link for link, is_free in free[number].items() if is_free and free[then][link]}
-        lit = _with_crossings(state_lights, green, links)
-        # 4. Vehicles that turn into a street with a green crossing have to yield.
-        for drive in links.drives:
-            crossed = (edges for link, edges in links.crossings.items() if lit[link] == "G")
-            turns = lit[drive.link] == "G" and not drive.straight
-            if turns and any(drive.end in edges for edges in crossed):
-                lit[drive.link] = "g"
-        made.append("".join(lit))
+        lights = _with_crossings(state_lights, green, links)
+        made.append("".join(_with_yields(lights, links)))
     return tuple(made)
 
 
@@ -456,6 +452,17 @@ def _with_crossings(lights: list[str], green: Set[int], links: _SignalLinks) -> 
         lit[link] = "G" if link in green else "r"
         if all(lit[drive.link] in _OFF for drive in links.drives):
             lit[link] = "o"
+    return lit
+
+
+def _with_yields(lights: list[str], links: _SignalLinks) -> list[str]:
+    """A state in which vehicles that turn into a street with a green crossing have to yield."""
+    lit = list(lights)
+    for drive in links.drives:
+        crossed = (edges for link, edges in links.crossings.items() if lit[link] == "G")
+        turns = lit[drive.link] == "G" and not drive.straight
+        if turns and any(drive.end in edges for edges in crossed):
+            lit[drive.link] = "g"
     return lit
 
 

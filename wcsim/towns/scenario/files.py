@@ -267,17 +267,20 @@ class FilteredFiles:
                 self.pictures[there.absolute()] = None
             elif _WRITTEN.match(key) and value not in NOWHERE:
                 element.set(key, str(self.names.place(value, path.parent, f"{element.tag}.xml")))
-        # The same for a parameter: one attribute names it, and another one its file.
         if element.tag == "param" and before.get("value"):
-            key, value = element.get("key", ""), element.attrib["value"]
-            if _writes_parameter(key) and value not in NOWHERE:
-                written = self.names.place(value, path.parent, f"{key.strip()}.xml")
-                element.set("value", str(written))
-            elif _reads_parameter(key):
-                named = (path.parent / part.strip() for part in value.split(","))
-                read = [str(self._place(there, path, above)) for there in named]
-                element.set("value", ",".join(read))
+            self._change_parameter(element, path, above)
         return before != element.attrib
+
+    def _change_parameter(self, element: Element, path: Path, above: tuple[Path, ...]) -> None:
+        """The same for a parameter: one attribute names it, and another one its file."""
+        key, value = element.get("key", ""), element.attrib["value"]
+        if _writes_parameter(key) and value not in NOWHERE:
+            written = self.names.place(value, path.parent, f"{key.strip()}.xml")
+            element.set("value", str(written))
+        elif _reads_parameter(key):
+            named = (path.parent / part.strip() for part in value.split(","))
+            read = [str(self._place(there, path, above)) for there in named]
+            element.set("value", ",".join(read))
 
 
 def without_namespaces(root: Element) -> Element:

@@ -81,20 +81,11 @@ def overrides_of(
         settings: What the world decides.
         moved: Options of the author whose files lie elsewhere, each with the value it gets.
     """
-    rows: list[Override] = []
+    # 1. What a world sets.
+    rows = _forced_rows(config, settings)
 
     def add(option: str, author: str | None, value: str, why: str) -> None:
         rows.append(Override(option=option, author=author or "", wcsim=value, why=why))
-
-    # 1. What a world sets. Shorter steps than the author's change the traffic, unless the drivers'
-    #    decision interval is set.
-    chosen = settings.world.action_step_s is not None or config.value(_ACTION_STEP) is not None
-    faster = config.number(STEP, 1.0) > settings.world.tick_s and not chosen
-    for name, value in forced(settings, config.scale):
-        author, default = config.value(name), sumo_options()[name].default
-        if not _same(default if author is None else author, value):
-            given = f"{default} (default)" if author is None and name == STEP else author
-            add(name, given, value, WHY[name] + _FASTER * (faster and name == STEP))
 
     # 2. What the author writes, and the net where its copy is another one.
     for name, value in moved:
@@ -111,6 +102,25 @@ def overrides_of(
         elif name == "end":
             add(name, item.value, "(not the run's end)", WHY[name])
     return tuple(rows)
+
+
+def _forced_rows(config: Configuration, settings: Settings) -> list[Override]:
+    """The rows for what a world sets.
+
+    Shorter steps than the author's change the traffic, unless the drivers' decision interval is
+    set.
+    """
+    rows: list[Override] = []
+    chosen = settings.world.action_step_s is not None or config.value(_ACTION_STEP) is not None
+    faster = config.number(STEP, 1.0) > settings.world.tick_s and not chosen
+    for name, value in forced(settings, config.scale):
+        author, default = config.value(name), sumo_options()[name].default
+        if _same(default if author is None else author, value):
+            continue
+        given = f"{default} (default)" if author is None and name == STEP else author
+        why = WHY[name] + _FASTER * (faster and name == STEP)
+        rows.append(Override(option=name, author=given or "", wcsim=value, why=why))
+    return rows
 
 
 def _same(author: str, value: str) -> bool:

@@ -89,26 +89,11 @@ def build_walk_graph(
             builder.add_lane(lane, WayKind.CROSSING, signals.get(lane.edge_id, ("", ())))
 
     # 3. Link the lanes that meet in a walking area.
-    areas = net.lanes(LaneKind.WALKINGAREA)
-    ends: dict[str, dict[str, None]] = {area.edge_id: {} for area in areas}
-    for link in net.connections:
-        if link.start in ends:
-            ends[link.start][f"{link.end}_{link.end_lane}"] = None
-        if link.end in ends:
-            ends[link.end][f"{link.start}_{link.start_lane}"] = None
-    for area in areas:
-        builder.link(area, [*ends[area.edge_id]])
+    ends = _ends_at_areas(net)
+    for area in net.lanes(LaneKind.WALKINGAREA):
+        builder.link(area, ends[area.edge_id])
 
-    # 4. Mark the crossings that no known phase frees.
-    programs: dict[str, list[SignalState]] = defaultdict(list)
-    for phase in phases:
-        programs[phase.tls_id].append(phase)
-    marked: list[WalkEdge] = []
-    for edge in builder.edges:
-        states = programs.get(edge.tls_id, []) if edge.tls_id else []
-        dead = states and not any(state.frees(edge.tls_links) for state in states)
-        marked.append(replace(edge, never_green=True) if dead else edge)
-    return _largest_part(builder.nodes, marked)
+    return _largest_part(builder.nodes, _with_dead_lights(builder.edges, phases))
 
 
 def shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None:
@@ -122,7 +107,7 @@ def shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None
     roomy = part.buffer(_SLACK_M)
     shapely.prepare(roomy)
     if roomy.covers(shapely.LineString([start_m, goal_m])):
-        return np.array([start_m, goal_m], dtype=np.float64)
+        return np.array([start_m, goal_m], np.float64)
 
     # 2. Search a graph of the corners that see each other: a shortest way bends at them alone.
     points = np.concatenate([[start_m, goal_m], _corners(part)])
@@ -245,6 +230,31 @@ def _first_part(space: BaseGeometry, points_m: F64) -> F64 | None:
             found: F64 = shapely.get_coordinates(part)
             return found if np.hypot(*(found[0] - points_m[0])) < 0.06 else found[::-1]
     return None
+
+
+def _ends_at_areas(net: Net) -> dict[str, list[str]]:
+    """Ids of the lanes that meet in each walking area."""
+    areas = {lane.edge_id for lane in net.lanes(LaneKind.WALKINGAREA)}
+    found: dict[str, dict[str, None]] = defaultdict(dict)
+    for link in net.connections:
+        if link.start in areas:
+            found[link.start][f"{link.end}_{link.end_lane}"] = None
+        if link.end in areas:
+            found[link.end][f"{link.start}_{link.start_lane}"] = None
+    return defaultdict(list, {area: list(lanes) for area, lanes in found.items()})
+
+
+def _with_dead_lights(edges: list[WalkEdge], phases: Iterable[SignalState]) -> list[WalkEdge]:
+    """The same edges, with crossings marked that no known phase frees."""
+    programs: dict[str, list[SignalState]] = defaultdict(list)
+    for phase in phases:
+        programs[phase.tls_id].append(phase)
+    marked: list[WalkEdge] = []
+    for edge in edges:
+        states = programs.get(edge.tls_id, []) if edge.tls_id else []
+        dead = states and not any(state.frees(edge.tls_links) for state in states)
+        marked.append(replace(edge, never_green=True) if dead else edge)
+    return marked
 
 
 def _largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from textwrap import wrap
-from typing import Final
+from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.intervals import FEWEST, Interval, bootstrapped, mcnemar
 from wcsim.agents.evaluation.suite.records import both_counted, saved_and_lost
@@ -88,11 +88,21 @@ def verdict(result: TestResult) -> str:
     helping.sort(key=lambda name: name.partition("@")[0] in BASELINES)
     driven = {row.policy: row for row in result.pooled if row.episodes}
     rows = [driven[name] for name in (UNAIDED, *helping[:_MOST_POLICIES]) if name in driven]
-    # Of the policies that could be built, those that are like the one of the highest score.
+    told_apart, said = _told_apart(result), ""
+    for many in range(min(_MOST_POLICIES, len(helping)), -1, -1):
+        chosen = [row for row in rows if row.policy in (UNAIDED, *helping[:many])]
+        said = page("verdict.txt.jinja", rows=chosen, unaided=UNAIDED, **told_apart).strip()
+        if many <= 1 or len(wrap(said, _LINE)) <= _MOST_LINES:
+            break
+    return said
+
+
+def _told_apart(result: TestResult) -> dict[str, Any]:
+    """The policies that could be built, compared with the one of the highest score, and those that are like it."""
     scores = {row.policy: row.score or 0.0 for row in result.pooled if row.policy not in UPPER_BOUNDS}
     best, *others = sorted(scores, key=lambda name: -scores[name]) or [""]
     pairs = {name: _paired(result, best, name, "") for name in others}
-    told_apart = {
+    return {
         "policies": len(scores),
         "few": all(pair is None or pair.interval is None for pair in pairs.values()),
         # in the order of the tables, which is no ranking
@@ -100,10 +110,3 @@ def verdict(result: TestResult) -> str:
         "most_alike": _MOST_ALIKE,
         "fewest": FEWEST,
     }
-    said = ""
-    for many in range(min(_MOST_POLICIES, len(helping)), -1, -1):
-        chosen = [row for row in rows if row.policy in (UNAIDED, *helping[:many])]
-        said = page("verdict.txt.jinja", rows=chosen, unaided=UNAIDED, **told_apart).strip()
-        if many <= 1 or len(wrap(said, _LINE)) <= _MOST_LINES:
-            break
-    return said

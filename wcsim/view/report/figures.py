@@ -231,19 +231,7 @@ def _town(town: str, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[
         if image is not None:
             axes.imshow(image, extent=(west, east, south, north), interpolation="nearest")
         axes.grid(visible=False)
-        policies = dict.fromkeys(name for name, _ in here)
-        for name in policies:
-            driven, colour = [e for whose, e in here if whose == name], _colour_of(places[name])
-            for e in driven:
-                if len(e.path_m) > 1:
-                    axes.plot(*np.transpose(e.path_m), color=colour, linewidth=0.7, alpha=0.75)
-            ends = np.reshape([e.end_m for e in driven if e.own], (-1, 2))
-            label = f"{_short(name)}: {pluralize(len(ends), 'own crash')}"
-            axes.scatter(ends[:, 0], ends[:, 1], marker="x", s=22, linewidths=1.3, color=colour, label=label)
-        axes.set_aspect("equal")
-        axes.set_xlabel("east, m")
-        axes.set_ylabel("north, m")
-        _legend(axes, len(policies))
+        _draw_ways(axes, here, places)
     return Exhibit(
         name=f"town-{town}",
         title=f"Paths in {town}",
@@ -253,6 +241,23 @@ def _town(town: str, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[
         rows=[row for name, e in here for row in _way_rows(name, e)],
         svg=out.getvalue(),
     )
+
+
+def _draw_ways(axes: Axes, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[str, int]) -> None:
+    """Ways and crashes of all policies."""
+    policies = dict.fromkeys(name for name, _ in here)
+    for name in policies:
+        driven, colour = [e for whose, e in here if whose == name], _colour_of(places[name])
+        for e in driven:
+            if len(e.path_m) > 1:
+                axes.plot(*np.transpose(e.path_m), color=colour, linewidth=0.7, alpha=0.75)
+        ends = np.reshape([e.end_m for e in driven if e.own], (-1, 2))
+        label = f"{_short(name)}: {pluralize(len(ends), 'own crash')}"
+        axes.scatter(ends[:, 0], ends[:, 1], marker="x", s=22, linewidths=1.3, color=colour, label=label)
+    axes.set_aspect("equal")
+    axes.set_xlabel("east, m")
+    axes.set_ylabel("north, m")
+    _legend(axes, len(policies))
 
 
 def _statuses(result: TestResult) -> Exhibit:
