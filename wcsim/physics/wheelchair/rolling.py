@@ -115,14 +115,13 @@ class RollingPlant:
             for pair in spec.casters
             for side in (1.0, -1.0)
         ]
-        names = [f"{number}_{side}" for number in range(len(spec.casters)) for side in "lr"]
         return cls(
             drive=np.array(drive),
             casters=np.array(casters),
             springs=springs,
             joints=tuple(
                 (joint_of[f"swivel_{name}"], joint_of[f"caster_{name}"], joint_of.get(f"arm_{name}", -1))
-                for name in names
+                for name in (f"{number}_{side}" for number in range(len(spec.casters)) for side in "lr")
             ),
             steepest=spare_mps2 / GRAVITY_MPS2,
         )

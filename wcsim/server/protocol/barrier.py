@@ -10,7 +10,6 @@ order of their messages.
 """
 
 import math
-from copy import copy
 from dataclasses import replace
 from typing import Self
 
@@ -39,9 +38,9 @@ class TickBarrier:
 
     def copied(self) -> Self:
         """A barrier in the same state that changes by itself."""
-        other = copy(self)
-        other.roster, other.out = self.roster.copied(), []
-        return other
+        copy = type(self).__new__(type(self))
+        copy.__dict__.update(self.__dict__, roster=self.roster.copied(), out=[])
+        return copy
 
     def late(self) -> tuple[str, ...]:
         """Names of those for whom the barrier waits."""

@@ -10,7 +10,6 @@ nothing else: its action is the tick request.
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
@@ -161,7 +160,9 @@ class ClientCore:
 
     def copied(self) -> ClientCore:
         """A core in the same state that changes by itself; sessions come from the same source."""
-        return copy(self)
+        copy = type(self).__new__(type(self))
+        copy.__dict__.update(self.__dict__)
+        return copy
 
     # --- what comes in ---
 

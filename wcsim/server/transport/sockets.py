@@ -251,27 +251,28 @@ class ServerSockets(ClosingContextBase):
     def _open(self, side: bytes, address: str, keys: Path | None) -> None:
         socket = self._context.socket(zmq.ROUTER)
         self._sockets[side] = socket
-        socket.linger = _LINGER_MS
-        socket.maxmsgsize = m.MAX_REQUEST_BYTES
-        socket.sndhwm = _SEND_QUEUE[side]
-        socket.rcvhwm = QUEUE
-        socket.ipv6 = address.startswith("tcp://[")
+        socket.setsockopt(zmq.LINGER, _LINGER_MS)
+        socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_REQUEST_BYTES)
+        socket.setsockopt(zmq.SNDHWM, _SEND_QUEUE[side])
+        socket.setsockopt(zmq.RCVHWM, QUEUE)
+        socket.setsockopt(zmq.IPV6, address.startswith("tcp://["))
         if side == REMOTE:
-            socket.handshake_ivl = _HANDSHAKE_MS
+            socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
             self._monitor = open_connection_monitor(
                 socket, zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED
             )
-            self.watch(self._monitor.fileno())
+            self.watch(int(self._monitor.getsockopt(zmq.FD)))
         if keys is not None:
+            pair = read_server_keys(keys)
             socket.curve_server = True
-            socket.curve_publickey, socket.curve_secretkey = read_server_keys(keys)
+            socket.curve_secretkey, socket.curve_publickey = pair.secret, pair.public
         try:
             socket.bind(address)
         except zmq.ZMQError as error:
             raise ConfigError(
                 f"{address}: cannot be opened ({error.strerror}); choose another address"
             ) from None
-        self._wakes.register(socket.fileno(), select.EPOLLIN)
+        self._wakes.register(int(socket.getsockopt(zmq.FD)), select.EPOLLIN)
         if side == LOCAL:
             Path(address.removeprefix("ipc://")).chmod(0o600)
 
@@ -344,15 +345,15 @@ def open_connection_monitor(socket: zmq.Socket[bytes], events: int) -> zmq.Socke
     To be called before that has any connection. From now on the kernel ends those to machines that
     do not answer.
     """
-    socket.tcp_keepalive = 1
-    socket.tcp_keepalive_idle = 2
-    socket.tcp_keepalive_intvl = 1
-    socket.tcp_keepalive_cnt = _CUT_S - 2
-    socket.tcp_maxrt = 1000 * _CUT_S
+    socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, 2)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, 1)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, _CUT_S - 2)
+    socket.setsockopt(zmq.TCP_MAXRT, 1000 * _CUT_S)
     monitor: zmq.Socket[bytes] = socket.context.socket(zmq.PAIR)
     # No bound: ZeroMQ's thread waits for room for its events, and every connection with it. Its
     # own bound is 2,000.
-    monitor.rcvhwm = 0
+    monitor.setsockopt(zmq.RCVHWM, 0)
     address = f"inproc://news-{socket.underlying}"
     socket.monitor(address, events)
     monitor.connect(address)

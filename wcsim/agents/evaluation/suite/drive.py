@@ -86,7 +86,8 @@ def drive_block(piece: Piece, place: BlockSetup, make_policy: MakePolicy, watch:
         PolicyError: `make_policy` made none.
     """
     block = piece.block
-    config = resolve(place.config, (*block.settings, "world.draw_threads=1"))
+    # Whatever a network learned in: it is judged in the engine.
+    config = resolve(place.config, (*block.settings, "world.draw_threads=1", "world.rolling=false"))
     policies = [make_policy() for _ in block.episodes]
     specs = tuple(make_episode_seat_spec(place, *each) for each in zip(block.episodes, policies, strict=True))
     with World(place.town, config, specs, place.seed, RunPlace(hook=piece.hook), find_user=find_user) as world:
