@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
@@ -106,7 +105,7 @@ class StaticChair:
     def without(self, prefix: str) -> StaticChair:
         """The same chair without the feet whose names begin so."""
         feet = tuple(foot for foot in self.feet if not foot.name.startswith(prefix))
-        return replace(self, feet=feet)
+        return StaticChair(mass_kg=self.mass_kg, com_m=self.com_m, feet=feet)
 
 
 def make_static_chair(spec: PlantSpec, swivel_rad: float = 0.0) -> StaticChair:
@@ -176,8 +175,7 @@ def compute_tip_angle_rad(chair: StaticChair, downhill: Vec2) -> float:
     """
     # 1. Find the rest on level ground.
     upper = find_uphill_feet(chair, downhill)
-    rest = partial(_rest_with_uphill_load, chair, downhill, upper)
-    pose = rest(0.0, _START_POSE, (0.0,))
+    pose = _rest_with_uphill_load(chair, 0.0, downhill, _START_POSE, upper, (0.0,))
     if pose is None:
         raise PhysicsError(_TIPS_AT_REST)
 
@@ -189,7 +187,7 @@ def compute_tip_angle_rad(chair: StaticChair, downhill: Vec2) -> float:
     tilt = 0.0
     step = _COARSE_STEP_RAD
     while step > _FINE_STEP_RAD:
-        after = rest(tilt + step, pose, leans)
+        after = _rest_with_uphill_load(chair, tilt + step, downhill, pose, upper, leans)
         if after is None:
             step *= 0.5
         else:
@@ -204,10 +202,10 @@ def compute_tip_angle_rad(chair: StaticChair, downhill: Vec2) -> float:
 
 def _rest_with_uphill_load(
     chair: StaticChair,
-    downhill: Vec2,
-    upper: frozenset[str],
     tilt_rad: float,
+    downhill: Vec2,
     pose: F64,
+    upper: frozenset[str],
     leans_rad: tuple[float, ...],
 ) -> F64 | None:
     """A pose with a load on its uphill feet, near `pose` or leaning on an anti-tip or stop."""

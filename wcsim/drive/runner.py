@@ -97,10 +97,8 @@ class PageRunner(ABC):
         """Do all that the page wants by now."""
         while self._pipe.poll():
             message = self._pipe.recv()
-            does = self._does.get(type(message))  # none of a message that pages of the other kind say
             try:
-                if does is not None:
-                    does(message)
+                self._does.get(type(message), _nothing)(message)
             except WcsimError as error:
                 self._say("notice", kind="refused", told=str(error))
             if message.slow:
@@ -136,6 +134,10 @@ class PageRunner(ABC):
 
     def _end(self, _: m.End) -> None:
         self._over = True
+
+
+def _nothing(_: m.PageMessage) -> None:
+    """Of a message that pages of the other kind say."""
 
 
 _CRASH_S: Final = 3.0  # so long a crash is shown

@@ -151,7 +151,8 @@ def _nearest_first(away_m: F64, gate_m: float) -> dict[int, int]:
 
 def _walks(clusters: F64) -> Bool:
     """(m,) which clusters are mostly people who walk or ride."""
-    return 2.0 * clusters[:, WALKERS] > clusters[:, PIXELS]
+    walking: Bool = 2.0 * clusters[:, WALKERS] > clusters[:, PIXELS]
+    return walking
 
 
 def _is_small(one: F64) -> bool:
@@ -165,7 +166,8 @@ def _innovation(track: TrackedMover, one: F64) -> F64:
     with it.
     """
     if _is_small(one):
-        return one[[X, Y]] - track.p_O_m
+        off: F64 = one[[X, Y]] - track.p_O_m
+        return off
     pairs = (one[_EXTENT] - track.extent_O_m).reshape(2, 2)
     least = np.where(np.abs(pairs[:, 0]) < np.abs(pairs[:, 1]), pairs[:, 0], pairs[:, 1])
     return np.where(pairs[:, 0] * pairs[:, 1] > 0.0, least, 0.0)

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 import torch
 from safetensors.torch import load, save
-from torch import Tensor
 
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.core import files, reading
@@ -17,7 +16,7 @@ from wcsim.core.sources import read_package_version
 from wcsim.errors import PolicyError
 
 _MAX_HEADER_BYTES = 1 << 20
-Tensors = Mapping[str, Tensor]
+Tensors = Mapping[str, torch.Tensor]
 Net = TypeVar("Net", bound=torch.nn.Module)
 
 
@@ -71,7 +70,7 @@ def load_network(folder: Path, sha256: str, make: Callable[[], Net], *, own: boo
     return net
 
 
-def _read_weights(path: Path, sha256: str, tensors: Iterable[Tensor]) -> bytes:
+def _read_weights(path: Path, sha256: str, tensors: Iterable[torch.Tensor]) -> bytes:
     """The bytes of a weights file of the size of these tensors.
 
     Raises:
@@ -96,10 +95,10 @@ def _read_weights(path: Path, sha256: str, tensors: Iterable[Tensor]) -> bytes:
 
 def validate_tensors(
     where: str,
-    tensors: Tensors,
+    tensors: dict[str, torch.Tensor],
     expected: Tensors,
     of: str = "the network that policy.json describes",
-) -> Tensors:
+) -> dict[str, torch.Tensor]:
     """The tensors, if they are finite and have the names, types and shapes of `expected`.
 
     Raises:
@@ -128,5 +127,5 @@ def hash_network_weights(net: torch.nn.Module) -> str:
     return text.hexdigest()
 
 
-def _facts(tensor: Tensor) -> str:
+def _facts(tensor: torch.Tensor) -> str:
     return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"

@@ -189,12 +189,11 @@ def run(options: ScenarioImportOptions | XodrImportOptions | OsmImportOptions) -
     require_writable_folder("--out", out)
     # The import may replace the working folder itself.
     json = options.json and options.json.resolve()
-    more: dict[str, Any] = {}
     with remove_folders_on_failure(out.parent):
         if isinstance(options, ScenarioImportOptions):
-            report = _adopt(options, out)
+            report, more = _adopt(options, out), dict[str, Any]()
         elif isinstance(options, XodrImportOptions):
-            report = _convert(options, out)
+            report, more = _convert(options, out), dict[str, Any]()
         else:
             report, more = _build(options, out)
     return print_town_report(report, started_s, json, **more)
