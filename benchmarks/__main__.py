@@ -22,6 +22,7 @@ SCRIPTS = {
     "judge": "KerbOptions",
     "sight": "SightOptions",
     "map_truth": "MapTruthOptions",
+    "rolling": "RollingOptions",
 }
 """Each a file of that name in `scripts/` with a `run(options)`, and its class of options."""
 PROGRAM = "python -m benchmarks"

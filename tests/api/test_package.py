@@ -228,6 +228,7 @@ SAME_FILE_NAME = {
     "pictures": "for people, and of a drive's page",
     "plant": "its file, and what physics makes of it",
     "registry": "networks by name, and sensors by name",
+    "rolling": "a chair without the engine, and the script of its benchmark",
     "records": "of a journal, and of crashes",
     "session": "of SUMO, and of a person's drive",
     "run": "its section of a run file, a scene's, and the command of a town's",

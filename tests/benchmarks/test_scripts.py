@@ -80,3 +80,12 @@ def test_camera_gives_the_ratio(measure, corner):
     for reference in (result["tiny"], result["embree"]):
         assert min(reference["class"], reference["depth"]) > 0.99
     assert len(result["towns"]) == 1
+
+
+def test_rolling_compares_chairs_with_what_they_would_do_without_the_engine(measure, corner):
+    told = measure("rolling", "--towns", corner, "--plants", "rwd", "--chairs", "2", "--km", "0.01", "--json", "b")
+    assert told.code == 0, told.err
+    (row,) = cli.parsed("b")["rows"]
+    assert row["km"] >= 0.01 and row["share"] > 0.2 and row["missed"] == 0
+    assert max(row["rms"][:2]) < 2.0 and row["of"][0] == "ahead_mm"
+    refused(measure("rolling", "--km", "0"), "--km 0", "0.001")

@@ -1,5 +1,6 @@
 import ast
 import inspect
+import math
 import shutil
 import textwrap
 from pathlib import Path
@@ -7,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.worlds import follow, hashes, open_world
+from tests.support.worlds import follow, hashes, open_world, push
 from wcsim.bridge.mirror import BODY_REACH_M
 from wcsim.bridge.sumo.session import world_in_this_process
-from wcsim.bridge.world import World
+from wcsim.bridge.world import World, _reach
 from wcsim.bridge.world_copy import in_copy
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError, ProtocolError, WorldInUseError
+from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.supervisor.oracle import CrashOracle
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types import ActorKind, Command, Joystick, SeatSpec
@@ -41,6 +43,61 @@ def test_equal_seeds_give_equal_worlds_and_others_do_not(corner):
 def test_a_second_world_in_the_process_is_refused_with_its_cure(corner):
     with open_world(corner), pytest.raises(WorldInUseError, match="process"):
         open_world(corner)
+
+
+def _rolls(world: World) -> list[int]:
+    """The seats whose chairs went through the last tick without the engine."""
+    return sorted(world._planes)
+
+
+def test_chairs_that_roll_are_where_they_would_be_and_equal_seeds_give_equal_worlds(corner):
+    places, shares = [], []
+    for rolling in ("true", "true", "false"):
+        with open_world(corner, f"world.rolling={rolling}", seats=3, seed=3) as world:
+            rolled, steps = 0, hashes(world, 1)
+            for _ in range(60):
+                steps += hashes(world, 1)
+                rolled += len(_rolls(world))
+                if len(steps) == 21:
+                    places.append([seat.plant.p_WB_m[:2] for seat in world.seats])
+            shares.append(rolled / 180)
+            places[-1] = (places[-1], steps)
+    (one, first), (_, second), (other, _) = places
+    assert first == second and shares[0] == shares[1] > 0.5 and shares[2] == 0.0
+    assert np.abs(np.subtract(one, other)).max() < 0.05
+
+
+def test_the_ground_that_a_chair_may_come_to_is_ahead_of_it_or_behind_one_that_backs(corner):
+    with open_world(corner, seed=3) as world:
+        (seat,) = world.seats
+        way_m = 0.167 + stopping_distance_m(1.67, 1.5, 4.0)
+        for stick, side in ((Joystick(0.0, 1.0), 1.0), (Joystick(0.0, -1.0), -1.0)):
+            for _ in range(25):
+                push(world, stick)
+            now, reach = seat.as_actor(), _reach(seat, way_m)
+            shift_m = reach.p_W_m - now.p_W_m
+            ahead_m = shift_m[0] * math.cos(now.yaw_rad) + shift_m[1] * math.sin(now.yaw_rad)
+            assert ahead_m == pytest.approx(0.5 * side * way_m)
+            assert np.subtract(reach.size_lwh_m, now.size_lwh_m) == pytest.approx([way_m + 0.6, 0.6, 0.0])
+
+
+def test_who_has_somebody_in_reach_is_in_the_engine(corner):
+    with open_world(corner, "world.rolling=true", seats=2, seed=3) as world:
+        follow(world)
+        assert 0 in _rolls(world)
+        plant = world.seats[0].plant
+        ahead = np.array([math.cos(plant.yaw_rad), math.sin(plant.yaw_rad)])
+        world.put_chair(1, plant.p_WB_m[:2] + 2.5 * ahead, plant.yaw_rad)
+        follow(world)
+        assert _rolls(world) == []
+        bodies = [world._open.engine.bullet.getBasePositionAndOrientation(s.chair.body_id)[0] for s in world.seats]
+        assert min(z for _, _, z in bodies) > -1.0
+
+
+def test_a_copy_of_a_world_that_rolls_goes_on_as_the_world_does(corner):
+    with open_world(corner, "world.rolling=true", "world.draw_threads=1", seats=2, seed=3) as world:
+        hashes(world, 15)
+        assert in_copy(world, lambda copy: " ".join(hashes(copy, 20)).encode()).decode().split() == hashes(world, 20)
 
 
 def _rim_m(actor, x_m, y_m):

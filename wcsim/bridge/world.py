@@ -6,6 +6,7 @@ tick n (it sees them one tick late); bodies, sensors and pictures all show tick 
 A world also brings the street near the wheelchairs into memory: tiles for engine and pictures.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -26,13 +27,17 @@ from wcsim.bridge.sumo.session import (
     sumo_seed,
 )
 from wcsim.config import RunConfig
+from wcsim.core.boxes import box_from_actor, boxes_touch
 from wcsim.core.closing import ClosingContextBase
+from wcsim.core.frames import forward_vector
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
 from wcsim.physics.engine import StreetBodies
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
+from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
+from wcsim.physics.wheelchair.rolling import Plane
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
@@ -58,6 +63,7 @@ _TILE_MORE_M = 100.0  # and so much more is loaded whenever the pictures need an
 MOST_TILES = 64
 ENGINE_STAY_M = 250.0  # but what is so near a chair stays
 _MOST_STORES = 512  # tiles that are ready to be drawn, 0.1 MB each
+_ASIDE_M = 0.3  # around what a chair may reach
 _MOVED_M = 1.0  # who has moved less since tiles were looked for needs no others
 
 
@@ -107,6 +113,7 @@ class World(ClosingContextBase):
         self._epoch: Epoch | None = None
         self._tick = 0
         self._bodied: tuple[ActorState, ...] = ()  # who has a body in the engine in this tick
+        self._planes: dict[int, Plane] = {}  # by seat, of the chairs that roll in this tick
         self._blind = False
         self._held = ExitStack()
         try:
@@ -264,6 +271,12 @@ class World(ClosingContextBase):
             traffic.move(near, places_W_m)
             tick_s = self.config.world.tick_s
             self._bodied = mirror.in_reach(traffic.actors, places_W_m, tick_s)
+            if self.config.world.rolling:
+                self._planes = self._find_planes()
+                for seat in self._engine_seats():
+                    seat.chair.stop_rolling()
+                driven = [seat.plant.p_WB_m[:2] for seat in self._engine_seats()]
+                self._bodied = mirror.in_reach(self._bodied, np.reshape(driven, (-1, 2)), tick_s)
             self._choose_step()
             self._open.bodies.place(mirror.moves(traffic.before, self._bodied, tick_s))
         self._load_tiles(places_W_m)
@@ -275,11 +288,17 @@ class World(ClosingContextBase):
             for seat, command in zip(self.seats, commands, strict=True):
                 seat.command(command.joystick)
             # All chairs before each step and all after it: none depends on another's same step.
-            for _ in range(round(self.config.world.tick_s / engine.step_s)):
-                for seat in self.seats:
+            steps = round(self.config.world.tick_s / engine.step_s)
+            for seat in self.seats:
+                plane = self._planes.get(seat.index)
+                if plane is not None:
+                    seat.chair.roll(seat.chair.rolled(plane, steps))
+            driven = self._engine_seats()
+            for _ in range(steps if driven else 0):
+                for seat in driven:
                     seat.chair.before_step()
                 engine.step()
-                for seat in self.seats:
+                for seat in driven:
                     seat.chair.after_step()
 
     def _sense(self, out: ImageSink | None) -> Snapshot:
@@ -304,11 +323,33 @@ class World(ClosingContextBase):
         self.snapshot = self._published(tuple(replace(c, first=first.get(c.seat)) for c in clients))
         return self.snapshot
 
+    def _find_planes(self) -> dict[int, Plane]:
+        """What chairs stand on that need no engine in this tick: nothing is in reach of them."""
+        traffic, tick_s = self._open.traffic, self.config.world.tick_s
+        limits = self.config.chair
+        way_m = limits.v_max_mps * tick_s
+        way_m += stopping_distance_m(limits.v_max_mps, limits.decel_mps2, limits.jerk_mps3)
+        reaches = [_reach(seat, way_m) for seat in self.seats]
+        boxes = [box_from_actor(reach) for reach in reaches]
+        planes = {}
+        for seat, reach, box in zip(self.seats, reaches, boxes, strict=True):
+            if any(boxes_touch(*box, *other) for other in boxes if other is not box):
+                continue
+            plane = seat.plane(box)
+            if plane and not meets_body([reach], traffic.before, self._bodied, tick_s):
+                planes[seat.index] = plane
+        return planes
+
+    def _engine_seats(self) -> list[Ego]:
+        """The seats whose chairs are in the engine in this tick."""
+        return [seat for seat in self.seats if seat.index not in self._planes]
+
     def _choose_step(self) -> None:
         """Set fine physics steps for a tick in which a wheel meets a kerb, or somebody a chair."""
         world, engine, traffic = self.config.world, self._open.engine, self._open.traffic
-        chairs = [seat.as_actor() for seat in self.seats]
-        fine = any(seat.meets_edge() for seat in self.seats)
+        seats = self._engine_seats()
+        chairs = [seat.as_actor() for seat in seats]
+        fine = any(seat.meets_edge() for seat in seats)
         fine = fine or meets_body(chairs, traffic.before, self._bodied, world.tick_s)
         step_s = world.tick_s / (world.finest_substeps if fine else world.usual_substeps)
         if step_s != engine.step_s:
@@ -322,6 +363,7 @@ class World(ClosingContextBase):
         self._tick = 0
         if self._epoch is not None:
             self._epoch.engine.close()
+        self._planes = {}
         self._epoch = Epoch(self.config, self.street.grid, self.sumo, seed)
         self._rig.begin(seed)
         self._seating.build(self._epoch.engine, self._rig, seed)
@@ -441,6 +483,16 @@ class World(ClosingContextBase):
         if self._epoch is None:
             raise ProtocolError("this world is closed; make a new one")
         return self._epoch
+
+
+def _reach(seat: Ego, way_m: float) -> ActorState:
+    """The ground that a chair may come to within `way_m`, as an actor that stands there."""
+    chair, ahead_mps = seat.as_actor(), float(seat.plant.v_B_mps[0])
+    length_m, width_m, height_m = chair.size_lwh_m
+    # Ahead, or back, as it moves now.
+    shift_m = math.copysign(0.5 * way_m, ahead_mps) * forward_vector(chair.yaw_rad, 0.0)
+    size_lwh_m = length_m + way_m + 2.0 * _ASIDE_M, width_m + 2.0 * _ASIDE_M, height_m
+    return replace(chair, p_W_m=chair.p_W_m + shift_m, v_W_mps=np.zeros(3), size_lwh_m=size_lwh_m)
 
 
 class _TileLoader:

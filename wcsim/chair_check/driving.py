@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.chair_check.rig import FORWARD, NEUTRAL, ChairTestRig, make_sloped_street
+from wcsim.chair_check.rig import FORWARD, NEUTRAL, ChairTestRig
 from wcsim.chair_check.row import TrialSetup, TrialSpec, UnfinishedMeasurement, make_trial_spec
 from wcsim.config import PROFILE_SPEED_MPS
 from wcsim.core.frames import deg2rad
@@ -142,7 +142,7 @@ def _stopping_m(setup: TrialSetup) -> float:
 
 def _climb_mps(setup: TrialSetup, slope_rad: float) -> float:
     """Speed straight up a slope at full stick, after it has become steady."""
-    with ChairTestRig(setup, make_sloped_street(ahead_rad=slope_rad)) as rig:
+    with ChairTestRig(setup, slope_rad=(slope_rad, 0.0)) as rig:
         rig.drive(FORWARD, _START_S + setup.chair.v_max_mps)
         return float(rig.drive(FORWARD, 1.0).speed_mps.mean())
 
@@ -157,7 +157,7 @@ def _pulling_mps(setup: TrialSetup, pull_N: float) -> float:
 
 def _creep_m(setup: TrialSetup, ahead_rad: float, left_rad: float) -> float:
     """How far it moves in five seconds on a slope without stick, after one second to settle."""
-    with ChairTestRig(setup, make_sloped_street(ahead_rad, left_rad)) as rig:
+    with ChairTestRig(setup, slope_rad=(ahead_rad, left_rad)) as rig:
         start = rig.drive(NEUTRAL, 1.0).p_m[-1]
         end = rig.drive(NEUTRAL, 5.0).p_m[-1]
     return math.dist(start, end)
@@ -169,7 +169,7 @@ def _cross_slope_drift_m(setup: TrialSetup, slope_rad: float) -> float | Unfinis
     def ends(state: PlantState) -> bool:
         return float(state.p_WB_m[0]) > _ACROSS_M or abs(state.yaw_rad) > _LOST_RAD
 
-    with ChairTestRig(setup, make_sloped_street(left_rad=slope_rad)) as rig:
+    with ChairTestRig(setup, slope_rad=(0.0, slope_rad)) as rig:
         ride = rig.drive(FORWARD, 30.0, ends)
     aside_m = float(np.abs(ride.p_m[:, 1]).max()) / math.cos(slope_rad)
     far_m, turned_rad = float(ride.p_m[-1, 0]), ride.states[-1].yaw_rad

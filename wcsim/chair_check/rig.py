@@ -12,6 +12,7 @@ from wcsim.core.closing import ClosingContextBase
 from wcsim.core.frames import forward_vector
 from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.engine import Engine
+from wcsim.physics.wheelchair.rolling import Plane
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.types import F64, ClassId, Joystick, PlantState, StreetMesh
 
@@ -99,16 +100,22 @@ class ChairTestRig(ClosingContextBase):
 
     Args:
         setup: The chair and the rate of the physics.
-        street: What it stands on; level ground if none.
+        street: What it stands on; a plane if none.
         iterations: Of the engine's solver, in a step.
+        slope_rad: Of that plane: how it rises ahead (x) and to the left (y).
     """
 
     def __init__(
-        self, setup: TrialSetup, street: StreetMesh | None = None, iterations: int = 50
+        self,
+        setup: TrialSetup,
+        street: StreetMesh | None = None,
+        iterations: int = 50,
+        slope_rad: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.engine: Final = Engine(1.0 / setup.hz, iterations)
         self.setup: Final = setup
-        self.engine.add_street(make_sloped_street() if street is None else street)
+        self.engine.add_street(make_sloped_street(*slope_rad) if street is None else street)
+        self._rises = tuple(map(math.tan, slope_rad)) if street is None and setup.rolling else ()
         self.chair: Final = Wheelchair(self.engine, setup.chair, setup.imu, seat=0)
         self.place(0.0)
 
@@ -154,9 +161,13 @@ class ChairTestRig(ClosingContextBase):
         ride = _Ride()
         for _ in range(round(seconds / TICK_S)):
             self.chair.command(stick)
-            for _ in range(self.setup.substeps):
-                self._pull(pull_N)
-                self.substep()
+            plane = self._plane()
+            if plane is not None and pull_N == 0.0 and self.chair.can_roll(plane):
+                self.chair.roll(self.chair.rolled(plane, self.setup.substeps))
+            else:
+                for _ in range(self.setup.substeps):
+                    self._pull(pull_N)
+                    self.substep()
             self.chair.end_tick(None)
             ride.states.append(self.chair.state())
             ride.peaks_mps2.append(self.chair.imu().accel_peak_mps2)
@@ -166,6 +177,7 @@ class ChairTestRig(ClosingContextBase):
 
     def substep(self) -> None:
         """One physics step with controllers and sensors."""
+        self.chair.stop_rolling()
         self.chair.before_step()
         self.engine.step()
         self.chair.after_step()
@@ -181,6 +193,14 @@ class ChairTestRig(ClosingContextBase):
                 sums[name] = sums.get(name, 0.0) + load / steps
         self.chair.end_tick(None)
         return sums
+
+    def _plane(self) -> Plane | None:
+        """What the chair stands on, where it shall roll."""
+        if not self._rises:
+            return None
+        x_m, y_m, _ = self.chair.state().p_WB_m.tolist()
+        rise_x, rise_y = self._rises
+        return Plane(x_m * rise_x + y_m * rise_y, rise_x, rise_y)
 
     def _pull(self, force_N: float) -> None:
         if force_N > 0.0:

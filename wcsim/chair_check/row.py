@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Final, Literal
 
@@ -34,6 +34,7 @@ class TrialSetup:
     chair: ChairConfig
     hz: int
     imu: ImuConfig = field(default_factory=ImuConfig)
+    rolling: bool = False  # whether it drives without the engine where it can
 
     def __post_init__(self) -> None:
         if not SLOWEST_HZ <= self.hz <= FASTEST_HZ or self.hz % 10:
@@ -179,35 +180,35 @@ def run_trial(trial: TrialSpec, setup: TrialSetup) -> TrialResult:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RateComparison:
-    """One row at several rates."""
+class RowComparison:
+    """One row of several tables."""
 
     name: str
     unit: str
-    values: tuple[float, ...]  # in the order of the rates
+    values: tuple[float, ...]  # in the order of the tables
     change: float  # largest difference between two of them, as a share
     most: float
     ok: bool
 
 
-def compare_rates(tables: Mapping[int, Sequence[TrialResult]]) -> list[RateComparison]:
-    """The change of every row over tables of the same plant, by rate in Hz.
+def compare_rows(tables: Sequence[Sequence[TrialResult]]) -> list[RowComparison]:
+    """The change of every row over tables of the same plant.
 
     The difference between the largest and the smallest value counts as a share of the largest
     magnitude; of the bound instead, where a row is expected to lie near zero and its bound is
     larger.
     """
-    by_rate = [{row.name: row for row in rows} for rows in tables.values()]
+    by_name = [{row.name: row for row in rows} for rows in tables]
     out = []
-    for name, first in by_rate[0].items():
-        rows = [rows[name] for rows in by_rate if name in rows]
+    for name, first in by_name[0].items():
+        rows = [rows[name] for rows in by_name if name in rows]
         values = tuple(row.value for row in rows)
         bounds = (first.low, first.high) if first.low <= 0.0 <= first.high else ()
         whole = max(map(abs, (*values, *bounds)))
         change = (max(values) - min(values)) / whole if whole > 0.0 else 0.0
         most = _MOST_CHANGE_IMPACT if first.impact else _MOST_CHANGE
         out.append(
-            RateComparison(
+            RowComparison(
                 name=name,
                 unit=first.unit,
                 values=values,

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Final
 
@@ -105,7 +106,7 @@ class StaticChair:
     def without(self, prefix: str) -> StaticChair:
         """The same chair without the feet whose names begin so."""
         feet = tuple(foot for foot in self.feet if not foot.name.startswith(prefix))
-        return StaticChair(mass_kg=self.mass_kg, com_m=self.com_m, feet=feet)
+        return replace(self, feet=feet)
 
 
 def make_static_chair(spec: PlantSpec, swivel_rad: float = 0.0) -> StaticChair:
@@ -175,7 +176,8 @@ def compute_tip_angle_rad(chair: StaticChair, downhill: Vec2) -> float:
     """
     # 1. Find the rest on level ground.
     upper = find_uphill_feet(chair, downhill)
-    pose = _rest_with_uphill_load(chair, 0.0, downhill, _START_POSE, upper, (0.0,))
+    rest = partial(_rest_with_uphill_load, chair, downhill, upper)
+    pose = rest(0.0, _START_POSE, (0.0,))
     if pose is None:
         raise PhysicsError(_TIPS_AT_REST)
 
@@ -187,7 +189,7 @@ def compute_tip_angle_rad(chair: StaticChair, downhill: Vec2) -> float:
     tilt = 0.0
     step = _COARSE_STEP_RAD
     while step > _FINE_STEP_RAD:
-        after = _rest_with_uphill_load(chair, tilt + step, downhill, pose, upper, leans)
+        after = rest(tilt + step, pose, leans)
         if after is None:
             step *= 0.5
         else:
@@ -202,10 +204,10 @@ def compute_tip_angle_rad(chair: StaticChair, downhill: Vec2) -> float:
 
 def _rest_with_uphill_load(
     chair: StaticChair,
-    tilt_rad: float,
     downhill: Vec2,
-    pose: F64,
     upper: frozenset[str],
+    tilt_rad: float,
+    pose: F64,
     leans_rad: tuple[float, ...],
 ) -> F64 | None:
     """A pose with a load on its uphill feet, near `pose` or leaning on an anti-tip or stop."""

@@ -13,17 +13,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from rich import box
-from rich.table import Column, Table
+from rich.table import Column
 from tyro.conf import Positional, arg
 
 from wcsim.chair_check.row import (
     FASTEST_HZ,
     SLOWEST_HZ,
     TICK_S,
-    RateComparison,
+    RowComparison,
     TrialResult,
     TrialSetup,
-    compare_rates,
+    compare_rows,
 )
 from wcsim.cli.shared.common import (
     AllowedSettingKeys,
@@ -40,7 +40,7 @@ from wcsim.cli.shared.common import (
     write_json,
     write_result_atomically,
 )
-from wcsim.cli.shared.consoles import show_table, stderr_console, stdout_console
+from wcsim.cli.shared.consoles import show_table, stderr_console
 from wcsim.config import ChairConfig, RunConfig, parse, resolve
 from wcsim.config.plant import PlantFile, find_plant_path, read_plant
 from wcsim.core.processes import run_in_process_pool
@@ -83,6 +83,8 @@ class _CheckOptions:
     """Only rows whose names start with one of these words, separated by commas."""
     compare_hz: str = ""
     """Physics rates to compare instead, such as 120,240,480."""
+    compare_rolling: Flag = False
+    """Compare a chair in the engine with one that rolls without it where it can (world.rolling)."""
     workers: Annotated[int, Bounds(1, 64)] = _WORKERS
     """Processes that share the work."""
     pictures: OutFolder = None
@@ -141,7 +143,9 @@ def _check(options: _CheckOptions) -> int:
         fast = list_too_fast_trials(setups[plant], split_comma_list(options.rows))
         if fast:
             print(f"note: {plant} is too slow for {', '.join(fast)}: left out", file=sys.stderr)
-    return _compare_rates(setups, options) if options.compare_hz else _judge(setups, options)
+    if options.compare_hz or options.compare_rolling:
+        return _compare(setups, options)
+    return _judge(setups, options)
 
 
 def _setup(plant: str, hz: int, settings: Sequence[str] = ()) -> TrialSetup:
@@ -155,7 +159,7 @@ def _judge(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
     found = {plant: _measure(plant, setup, options) for plant, setup in setups.items()}
     plain: dict[str, Any] = {}
     for plant, rows in found.items():
-        stdout_console().print(_judged_table(plant, rows))
+        _show_judged(plant, rows)
         for row in rows:
             if row.note:
                 print(f"{row.name}: {row.note}")
@@ -171,15 +175,20 @@ def _judge(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
     return 1 if any(row.red for rows in found.values() for row in rows) else 0
 
 
-def _compare_rates(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
-    """Measure all rows of each plant at several rates and print how they change."""
-    rates = _rates(options.compare_hz)
+def _compare(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
+    """Measure all rows of each plant several times and print how they change."""
+    rates = _rates(options.compare_hz) if options.compare_hz else [options.hz]
+    columns: dict[str, dict[str, Any]] = {f"{hz} Hz": {"hz": hz} for hz in rates}
+    if options.compare_rolling:
+        columns["rolling"] = {"hz": rates[0], "rolling": True}
     found = {
-        plant: compare_rates({hz: _measure(plant, replace(setup, hz=hz), options) for hz in rates})
+        plant: compare_rows(
+            [_measure(plant, replace(setup, **changed), options) for changed in columns.values()]
+        )
         for plant, setup in setups.items()
     }
     for plant, rows in found.items():
-        stdout_console().print(_compared_table(plant, rates, rows))
+        _show_compared(plant, [*columns, "change"], rows)
     plain = {plant: {"rows": [asdict(row) for row in rows]} for plant, rows in found.items()}
     write_json(options.json, {"hz": rates, "plants": plain})
     return 0 if all(row.ok for rows in found.values() for row in rows) else 1
@@ -212,38 +221,38 @@ def _rates(text: str) -> list[int]:
     return rates
 
 
-def _judged_table(plant: str, rows: Sequence[TrialResult]) -> Table:
-    judged = [row for row in rows if row.judged]
-    out = _table(f"{plant}: {sum(row.ok for row in judged)} of {len(judged)} rows as expected")
-    for heading in ("value", "low", "high"):
-        out.add_column(heading, justify="right")
-    for heading in ("unit", "bound by", ""):
-        out.add_column(heading)
-    for row in rows:
-        if row.ok:
-            verdict = "" if row.judged else "not judged"
-        else:
-            verdict = "[bold red]RED[/]" if row.red else "other"
-        numbers = (f"{number:.4g}" for number in (row.value, row.low, row.high))
-        out.add_row(row.name, *numbers, row.unit, row.bound, verdict)
-    return out
-
-
-def _compared_table(plant: str, rates: Sequence[int], rows: Sequence[RateComparison]) -> Table:
-    out = _table(f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows change little")
-    for rate in rates:
-        out.add_column(f"{rate} Hz", justify="right")
-    out.add_column("change", justify="right")
-    out.add_column("")
+def _show_compared(plant: str, headings: Sequence[str], rows: Sequence[RowComparison]) -> None:
+    lines = []
     for row in rows:
         values = (f"{value:.4g}" for value in row.values)
-        out.add_row(row.name, *values, f"{row.change:.1%}", "" if row.ok else "[bold red]RED[/]")
-    return out
+        lines.append((row.name, *values, f"{row.change:.1%}", "" if row.ok else "RED"))
+    title = f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows change little"
+    _show_rows(title, headings, ("",), lines)
 
 
-def _table(title: str) -> Table:
-    return Table(
-        Column("row", overflow="fold"),
+def _show_judged(plant: str, rows: Sequence[TrialResult]) -> None:
+    judged = [row for row in rows if row.judged]
+    lines = []
+    for row in rows:
+        verdict = "other"
+        if row.red:
+            verdict = "RED"
+        elif row.ok:
+            verdict = "" if row.judged else "not judged"
+        numbers = (f"{number:.4g}" for number in (row.value, row.low, row.high))
+        lines.append((row.name, *numbers, row.unit, row.bound, verdict))
+    title = f"{plant}: {sum(row.ok for row in judged)} of {len(judged)} rows as expected"
+    _show_rows(title, ("value", "low", "high"), ("unit", "bound by", ""), lines)
+
+
+def _show_rows(
+    title: str, numbers: Sequence[str], texts: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
+    """Print rows with their names: columns of numbers, then columns of texts."""
+    right = (Column(heading, justify="right") for heading in numbers)
+    show_table(
+        (Column("row", overflow="fold"), *right, *texts),
+        rows,
         title=title,
         title_justify="left",
         box=box.SIMPLE_HEAD,

@@ -81,6 +81,11 @@ class StudyQuestion(Model):
     ] = ()
     after: Literal["block", "end"] = "block"  # each block but the practice, or all of them
 
+    @property
+    def column(self) -> str:
+        """The column of its answers."""
+        return f"answer_{self.name}"
+
     @model_validator(mode="after")
     def _fits_its_kind(self) -> StudyQuestion:
         expected = _ANSWERS[self.kind]

@@ -126,6 +126,8 @@ class WorldConfig(Model):
     help_s: Annotated[float, within(0.0, 600.0), exclude_if(HELP_S)] = HELP_S
     # Whether requests of simulated users do so too. Without it they are only counted.
     help_users: Annotated[bool, exclude_if(False)] = False
+    # Whether a chair on a plane with nothing in reach rolls without the physics engine.
+    rolling: Annotated[bool, exclude_if(False)] = False
     # Threads that draw camera images. 0: one per core.
     draw_threads: Annotated[int, within(0, 64)] = 0
 

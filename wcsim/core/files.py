@@ -18,7 +18,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.core.reading import is_folder, require_no_outward_links
+from wcsim.core.reading import JsonObject, is_folder, require_no_outward_links
 from wcsim.errors import DiskFullError, PolicyError, UnwritableError
 
 KERNELS: Final = "kernels"  # the folder in the user's cache for machine code
@@ -124,7 +124,7 @@ def write_json_with_checksum(path: Path, data: Mapping[str, Any]) -> None:
     write_json(path, {**data, _SEAL: _seal_of(data)})
 
 
-def verify_and_remove_checksum(data: dict[str, Any], where: str, cure: str = "") -> bool:
+def verify_and_remove_checksum(data: JsonObject, where: str, cure: str = "") -> bool:
     """Remove the seal from a file's content; whether there was one, as older versions wrote none.
 
     Raises:

@@ -20,6 +20,10 @@ from wcsim.types import F64
 Vec3 = tuple[float, float, float]
 Rotation = tuple[float, float, float, float, float, float, float, float, float]
 Quat = tuple[float, float, float, float]
+deg2rad: Final = math.radians
+"""A configured angle (key `*_deg`) in radians."""
+rad2deg: Final = math.degrees
+"""An angle in degrees, for a file or a person."""
 LEVEL: Final[Rotation] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
@@ -166,23 +170,13 @@ def forward_vector(yaw_rad: float, pitch_rad: float) -> F64:
 
 def world_from_net(p_net_m: F64, origin_m: tuple[float, float]) -> F64:
     """Net coordinates (..., 2 or 3) as W coordinates, which are relative to the town's origin."""
-    moved = np.array(p_net_m, dtype=np.float64)
+    moved = np.array(p_net_m, np.float64)
     moved[..., :2] -= origin_m
     return moved
 
 
 def net_from_world(p_W_m: F64, origin_m: tuple[float, float]) -> F64:
     """The inverse of `world_from_net`."""
-    moved = np.array(p_W_m, dtype=np.float64)
+    moved = np.array(p_W_m, np.float64)
     moved[..., :2] += origin_m
     return moved
-
-
-def deg2rad(angle_deg: float) -> float:
-    """A configured angle (key `*_deg`) in radians."""
-    return math.radians(angle_deg)
-
-
-def rad2deg(angle_rad: float) -> float:
-    """An angle in degrees, for a file or a person."""
-    return math.degrees(angle_rad)

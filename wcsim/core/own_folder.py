@@ -82,11 +82,8 @@ def is_abandoned_folder(folder: Path) -> bool:
 @contextmanager
 def create_runtime_folder(home: Path | None = None, prefix: str = _PREFIX) -> Iterator[Path]:
     """A new folder that only its user can enter, while open."""
-    folder = LockedTempFolder(home, prefix)
-    try:
+    with contextlib.closing(LockedTempFolder(home, prefix)) as folder:
         yield folder.path
-    finally:
-        folder.close()
 
 
 def create_temporary_folder() -> AbstractContextManager[Path]:

@@ -29,6 +29,7 @@ from wcsim.errors import ConfigError, FileError, JournalError, PolicyError, Town
 if TYPE_CHECKING:
     import zstandard
 
+JsonObject = dict[str, Any]  # or a TOML table
 # In a record; sound ones have up to 6 kB, and decoding takes 60 times as much memory.
 MOST_JSON_BYTES: Final = 1 << 20
 MOST_MEMORY_BYTES: Final = 120 << 20  # that reading a text may take, with all that is made of it
@@ -48,7 +49,7 @@ _DOTTED: Final = re.compile(
 _MESSAGE_CHARACTERS: Final = 200
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class FileSpec:
     """What a file is expected to be."""
 
@@ -63,27 +64,23 @@ class FileSpec:
 # lines or pieces may be larger.
 
 # Settings, and what people write.
-SETTINGS: Final = FileSpec(what="a TOML file of at most a megabyte", limit_bytes=_MIB)
-CONFIG: Final = FileSpec(what="a configuration", limit_bytes=_MIB)
-VALUE: Final = FileSpec(what="a value in TOML's syntax", limit_bytes=_MIB)
-PROFILE: Final = FileSpec(what="a user's profile as TOML", limit_bytes=_MIB // 16)
-STUDY_TABLE: Final = FileSpec(what="a study's table", limit_bytes=16 * _MIB)
-STICK: Final = FileSpec(what="a recorded joystick", limit_bytes=64 * _MIB)  # in lines
+SETTINGS: Final = FileSpec("a TOML file of at most a megabyte", _MIB)
+CONFIG: Final = FileSpec("a configuration", _MIB)
+VALUE: Final = FileSpec("a value in TOML's syntax", _MIB)
+PROFILE: Final = FileSpec("a user's profile as TOML", _MIB // 16)
+STUDY_TABLE: Final = FileSpec("a study's table", 16 * _MIB)
+STICK: Final = FileSpec("a recorded joystick", 64 * _MIB)  # in lines
 # In lines.
-CHAIR: Final = FileSpec(
-    what="CSV of at most 64 MiB, plain or compressed by gzip", limit_bytes=64 * _MIB
-)
+CHAIR: Final = FileSpec("CSV of at most 64 MiB, plain or compressed by gzip", 64 * _MIB)
 
 # Towns and scenes.
-TOWN: Final = FileSpec(what="a town.toml", limit_bytes=_MIB, error=TownError)
-SCENE: Final = FileSpec(what="a scene.toml", limit_bytes=_MIB, error=TownError)
-XML: Final = FileSpec(
-    what="an XML file, plain or gzip-compressed", limit_bytes=200 * _MIB, error=TownError
-)
-SCENARIO: Final = FileSpec(what="a file of a scenario", limit_bytes=200 * _MIB, error=TownError)
-EDGES: Final = FileSpec(what="a list of edges", limit_bytes=16 * _MIB, error=TownError)
-NOTICE: Final = FileSpec(what="a notice", limit_bytes=_MIB, error=TownError)
-HEIGHTS: Final = FileSpec(what="a GeoTIFF of heights", limit_bytes=100 * _MIB, error=TownError)
+TOWN: Final = FileSpec("a town.toml", _MIB, TownError)
+SCENE: Final = FileSpec("a scene.toml", _MIB, TownError)
+XML: Final = FileSpec("an XML file, plain or gzip-compressed", 200 * _MIB, TownError)
+SCENARIO: Final = FileSpec("a file of a scenario", 200 * _MIB, TownError)
+EDGES: Final = FileSpec("a list of edges", 16 * _MIB, TownError)
+NOTICE: Final = FileSpec("a notice", _MIB, TownError)
+HEIGHTS: Final = FileSpec("a GeoTIFF of heights", 100 * _MIB, TownError)
 EXTRACT: Final = FileSpec(
     what="an OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf",
     limit_bytes=1 << 40,  # by a child with limits of its own
@@ -91,54 +88,34 @@ EXTRACT: Final = FileSpec(
 )
 
 # Runs, data and policies.
-RUN: Final = FileSpec(
-    what="a file of `wcsim train`: restore it or train again", limit_bytes=_MIB, error=PolicyError
-)
-METRICS: Final = FileSpec(what="the log of a run", limit_bytes=16 * _MIB, error=PolicyError)
+RUN: Final = FileSpec("a file of `wcsim train`: restore it or train again", _MIB, PolicyError)
+METRICS: Final = FileSpec("the log of a run", 16 * _MIB, PolicyError)
 # Where a run goes on with it.
-METRIC_LINES: Final = FileSpec(what="the log of a run", limit_bytes=64 * _MIB, error=PolicyError)
-CLAIM: Final = FileSpec(what="a client's claim", limit_bytes=1 << 10, error=PolicyError)
-LEARNED: Final = FileSpec(
-    what="the learned_data.json of a run", limit_bytes=16 * _MIB, error=PolicyError
-)
-ORDERS: Final = FileSpec(
-    what="the orders.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError
-)
-DATA: Final = FileSpec(
-    what="the data.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError
-)
-SEGMENT: Final = FileSpec(
-    what="a segment of recorded driving", limit_bytes=1 << 30, error=PolicyError
-)
-STATE: Final = FileSpec(
-    what="the state.json of a checkpoint", limit_bytes=16 * _MIB, error=PolicyError
-)
-ARRAYS: Final = FileSpec(what="the arrays of a checkpoint", limit_bytes=64 << 30, error=PolicyError)
-POLICY: Final = FileSpec(
-    what="the policy.json of a policy folder", limit_bytes=_MIB, error=PolicyError
-)
-HASHES: Final = FileSpec(
-    what="the files.json of the shipped policy", limit_bytes=_MIB, error=PolicyError
-)
-WEIGHTS: Final = FileSpec(what="the weights of a policy", limit_bytes=1 << 30, error=PolicyError)
-MEANING: Final = FileSpec(
-    what="the meaning.json of an exported policy", limit_bytes=4 * _MIB, error=PolicyError
-)
-ONNX_TOML: Final = FileSpec(what="the policy.toml of an ONNX folder", limit_bytes=_MIB)
-ANSWER: Final = FileSpec(what="an answer of a policy", limit_bytes=1 << 16, error=PolicyError)
-KEY: Final = FileSpec(what="a key of 32 bytes", limit_bytes=32, error=PolicyError)
+METRIC_LINES: Final = FileSpec("the log of a run", 64 * _MIB, PolicyError)
+CLAIM: Final = FileSpec("a client's claim", 1 << 10, PolicyError)
+LEARNED: Final = FileSpec("the learned_data.json of a run", 16 * _MIB, PolicyError)
+ORDERS: Final = FileSpec("the orders.json of a data folder", 16 * _MIB, PolicyError)
+DATA: Final = FileSpec("the data.json of a data folder", 16 * _MIB, PolicyError)
+SEGMENT: Final = FileSpec("a segment of recorded driving", 1 << 30, PolicyError)
+STATE: Final = FileSpec("the state.json of a checkpoint", 16 * _MIB, PolicyError)
+ARRAYS: Final = FileSpec("the arrays of a checkpoint", 64 << 30, PolicyError)
+POLICY: Final = FileSpec("the policy.json of a policy folder", _MIB, PolicyError)
+HASHES: Final = FileSpec("the files.json of the shipped policy", _MIB, PolicyError)
+WEIGHTS: Final = FileSpec("the weights of a policy", 1 << 30, PolicyError)
+MEANING: Final = FileSpec("the meaning.json of an exported policy", 4 * _MIB, PolicyError)
+ONNX_TOML: Final = FileSpec("the policy.toml of an ONNX folder", _MIB)
+ANSWER: Final = FileSpec("an answer of a policy", 1 << 16, PolicyError)
+KEY: Final = FileSpec("a key of 32 bytes", 32, PolicyError)
 
 # Tests and what a world writes.
-EPISODES: Final = FileSpec(what="a list of test episodes", limit_bytes=16 * _MIB)
-BLOCK: Final = FileSpec(what="a saved block of `wcsim test`: remove it", limit_bytes=16 * _MIB)
-RESULT: Final = FileSpec(what="a file of `wcsim test`: run it again", limit_bytes=32 * _MIB)
+EPISODES: Final = FileSpec("a list of test episodes", 16 * _MIB)
+BLOCK: Final = FileSpec("a saved block of `wcsim test`: remove it", 16 * _MIB)
+RESULT: Final = FileSpec("a file of `wcsim test`: run it again", 32 * _MIB)
 # In records.
-LOG: Final = FileSpec(what="a log written by wcsim", limit_bytes=1 << 62, error=JournalError)
-WHOLE_LOG: Final = FileSpec(
-    what="a log whose ticks are read at once", limit_bytes=256 * _MIB, error=JournalError
-)
-PICTURES: Final = FileSpec(what="the pictures of a seat", limit_bytes=1 << 50)  # shared memory
-ORDER: Final = FileSpec(what="an order to a process of wcsim", limit_bytes=16 * _MIB)
+LOG: Final = FileSpec("a log written by wcsim", 1 << 62, JournalError)
+WHOLE_LOG: Final = FileSpec("a log whose ticks are read at once", 256 * _MIB, JournalError)
+PICTURES: Final = FileSpec("the pictures of a seat", 1 << 50)  # shared memory
+ORDER: Final = FileSpec("an order to a process of wcsim", 16 * _MIB)
 
 
 @contextmanager
@@ -156,11 +133,9 @@ def open_regular_file(path: Path, kind: FileSpec) -> Iterator[BinaryIO]:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise kind.error(f"{escape(path)}: is not a regular file; expected {kind.what}")
             yield file
-    except OSError as error:
-        reason = error.strerror or error
+    except (OSError, ValueError) as error:  # the second for NUL in the path
+        reason = getattr(error, "strerror", None) or error
         raise _unreadable(path, kind, reason) from None
-    except ValueError as error:  # NUL in the path
-        raise _unreadable(path, kind, error) from None
 
 
 def read_bytes(path: Path, kind: FileSpec) -> bytes:
@@ -231,19 +206,19 @@ def read_lines(path: Path, kind: FileSpec) -> Iterator[str]:
             raise _unreadable(path, kind, error) from None
 
 
-def read_json(path: Path, kind: FileSpec) -> dict[str, Any]:
+def read_json(path: Path, kind: FileSpec) -> JsonObject:
     """A JSON object from a file. Raises FileError, of the kind's class."""
     return parse_json(read_text(path, kind, _JSON_COSTS), escape(path), kind, kind.limit_bytes)
 
 
-def read_toml(path: Path, kind: FileSpec) -> dict[str, Any]:
+def read_toml(path: Path, kind: FileSpec) -> JsonObject:
     """The table of a TOML file. Raises FileError, of the kind's class."""
     return parse_toml(read_text(path, kind), escape(path), kind)
 
 
 def parse_json(
     text: str, where: str, kind: FileSpec, most_bytes: int = MOST_JSON_BYTES
-) -> dict[str, Any]:
+) -> JsonObject:
     """JSON text as an object; a key must not occur twice, as readers differ in which one counts.
 
     Raises:
@@ -268,7 +243,7 @@ def parse_json(
     return data
 
 
-def parse_toml(text: str, where: str, kind: FileSpec) -> dict[str, Any]:
+def parse_toml(text: str, where: str, kind: FileSpec) -> JsonObject:
     """TOML text as a table. Raises FileError, of the kind's class, beginning with `where`."""
     if _DOTTED.search(text):
         raise kind.error(
@@ -399,7 +374,7 @@ def escape_repr(value: object, most: int = 60) -> str:
         return f"a very large {type(value).__name__}"
 
 
-def read_module_toml(module: str | Path) -> dict[str, Any]:
+def read_module_toml(module: str | Path) -> JsonObject:
     """The TOML file beside a module of wcsim, of the same name; `module` is its `__file__`."""
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
 
@@ -467,7 +442,7 @@ def _require_plain(value: Any, where: str, name: object, kind: FileSpec) -> None
         raise kind.error(f"{where}: {escape(name, 40)} {fault}")
 
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique(pairs: list[tuple[str, Any]]) -> JsonObject:
     data = dict(pairs)
     if len(data) < len(pairs):
         seen = set[str]()

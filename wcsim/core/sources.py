@@ -3,8 +3,6 @@
 The files are found without running them.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Iterator

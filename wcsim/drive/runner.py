@@ -97,8 +97,10 @@ class PageRunner(ABC):
         """Do all that the page wants by now."""
         while self._pipe.poll():
             message = self._pipe.recv()
+            does = self._does.get(type(message))  # none of a message that pages of the other kind say
             try:
-                self._does.get(type(message), _nothing)(message)
+                if does is not None:
+                    does(message)
             except WcsimError as error:
                 self._say("notice", kind="refused", told=str(error))
             if message.slow:
@@ -134,10 +136,6 @@ class PageRunner(ABC):
 
     def _end(self, _: m.End) -> None:
         self._over = True
-
-
-def _nothing(_: m.PageMessage) -> None:
-    """Of a message that pages of the other kind say."""
 
 
 _CRASH_S: Final = 3.0  # so long a crash is shown

@@ -281,10 +281,30 @@ class DriveSession(ClosingContextBase):
         user.patient = not by_user
         self._move(answer)
         sticks = user.sticks if by_user else _NO_STICKS
-        driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule, help=self._help))
+        points = self.actions.points
+        driven = DriveTick(
+            tick=self.ticks,
+            time_s=self.time_s,
+            episode=self.episode,
+            stick=stick,
+            intent=intent,
+            sticks=sticks.astype(np.float32),  # a copy, of half the bytes
+            action=answer.chosen,
+            chosen=Joystick(*points[answer.chosen].tolist()),
+            commanded=Joystick(*points[answer.sent].tolist()),
+            warning=answer.warning,
+            intervening=answer.intervening,
+            overruled=overrule,
+            helped=self._help,
+            pace=wish.pace,
+            **end_fields_from_snapshot(self.client),
+        )
         self._before_mps = 0.0 if self.last is None else self.last.speed_mps
         self.last, self.unsafe, self._help = driven, answer.unsafe, False
-        self._pass_help()
+        helped = self.assistance.help_left > 0
+        self.assistance.end_tick()
+        if helped and not self.assistance.help_left:
+            self.say(EventKind.HELP_END)
         self._tell(driven, self.actions.distance(answer.sent, (stick.x, stick.y)))
         return driven
 
@@ -331,26 +351,6 @@ class DriveSession(ClosingContextBase):
         self.ticks += 1
         self._step += 1
 
-    def _driven(self, stick: Joystick, intent: Joystick | None, sticks: F64, answer: Answer, wish: Wish) -> DriveTick:
-        points = self.actions.points
-        return DriveTick(
-            tick=self.ticks,
-            time_s=self.time_s,
-            episode=self.episode,
-            stick=stick,
-            intent=intent,
-            sticks=sticks.astype(np.float32),  # a copy, of half the bytes
-            action=answer.chosen,
-            chosen=Joystick(*points[answer.chosen].tolist()),
-            commanded=Joystick(*points[answer.sent].tolist()),
-            warning=answer.warning,
-            intervening=answer.intervening,
-            overruled=wish.overrule,
-            helped=wish.help,
-            pace=wish.pace,
-            **end_fields_from_snapshot(self.client),
-        )
-
     def _tell(self, driven: DriveTick, distance: float) -> None:
         """Count the tick, and tell who looks on what happened in it; `distance` is between stick and command."""
         if self._step > self.place.handover_step:
@@ -386,13 +386,6 @@ class DriveSession(ClosingContextBase):
             self.ask_for_help()
         elif by_user and self.client.events.help_asked:
             self.ask_for_help(raises=self.place.config.world.help_users)
-
-    def _pass_help(self) -> None:
-        """A tick of help has passed, if it is on."""
-        helped = self.assistance.help_left > 0
-        self.assistance.end_tick()
-        if helped and not self.assistance.help_left:
-            self.say(EventKind.HELP_END)
 
     def _say_failure(self) -> None:
         if self.assistance.failed != self._failure:

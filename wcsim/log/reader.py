@@ -26,6 +26,8 @@ from wcsim.core.reading import LOG, WHOLE_LOG, escape, open_regular_file, read_f
 from wcsim.errors import FileError, JournalError, WcsimError
 from wcsim.log.framing import FramedRecord, count_truncated_bytes, iter_whole_records
 from wcsim.log.records import (
+    HEADER_STARTS,
+    TICK_TAG,
     ActorBody,
     Header,
     Input,
@@ -34,8 +36,6 @@ from wcsim.log.records import (
     WorldState,
     encode_header_for_comparison,
     header_from_bytes,
-    is_header_payload,
-    is_ticked_payload,
     record_from_bytes,
     record_to_bytes,
     strip_uncompared_fields,
@@ -59,7 +59,7 @@ def is_log_file(path: Path) -> bool:
             first = next(iter_whole_records(file), None)
     except FileError:
         return False
-    return first is not None and is_header_payload(first.payload)
+    return first is not None and first.payload.startswith(HEADER_STARTS)
 
 
 def read_header(path: Path, expected: LogKind | None = None) -> Header:
@@ -180,7 +180,7 @@ class LogScan:
         bodies: dict[str, ActorBody] = {}
         for end, item in self._items():
             record: LogRecord | None = None
-            if ticks or not is_ticked_payload(item.payload):
+            if ticks or item.payload[1:3] != TICK_TAG:
                 try:
                     record = record_from_bytes(item.payload)
                 except WcsimError as error:

@@ -37,9 +37,11 @@ _STATE_BYTES: Final = 32 << 20  # names, bodies and numbers of some 100,000 acto
 _NO_XML: Final = r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff"
 _DIGEST_VERSION: Final = 1  # of what the digest is over
 # Of this format, and of older ones.
-_HEADER_STARTS: Final = (b'{"magic":"wcsim-', b'{"magic": "wcsim-')
+HEADER_STARTS: Final = (b'{"magic":"wcsim-', b'{"magic": "wcsim-')
+"""With these begins the first record of a log, of whatever version."""
 # The tags of these records in a payload, behind the byte that counts the fields.
-_TICK_TAG: Final = b"\xa1t"
+TICK_TAG: Final = b"\xa1t"
+"""The second and third byte of a record of `Ticked`."""
 _STATE_TAG: Final = b"\xa1s"
 
 S = TypeVar("S", bound=Struct)
@@ -333,7 +335,7 @@ def header_to_bytes(header: Header) -> bytes:
 
 def header_from_bytes(payload: bytes) -> Header:
     """A payload as a header. Raises WcsimError when it is none of this version."""
-    if not is_header_payload(payload):
+    if not payload.startswith(HEADER_STARTS):
         raise WcsimError("is not a log; expected a file written by wcsim")
     if len(payload) > MOST_JSON_BYTES:
         raise WcsimError(
@@ -355,11 +357,6 @@ def header_from_bytes(payload: bytes) -> Header:
             f"its header cannot be used: {error}; expected one as wcsim writes it"
         ) from None
     return header
-
-
-def is_header_payload(payload: bytes) -> bool:
-    """Whether a file's first record is that of a log, of whatever version."""
-    return payload.startswith(_HEADER_STARTS)
 
 
 def encode_header_for_comparison(header: Header) -> bytes:
@@ -388,11 +385,6 @@ def strip_uncompared_fields(record: LogRecord) -> LogRecord:
 def with_fields(record: S, **fields: Any) -> S:
     """A record or header with other values in some fields, as by `dataclasses.replace`."""
     return msgspec.structs.replace(record, **fields)
-
-
-def is_ticked_payload(payload: bytes) -> bool:
-    """Whether a payload is of `Ticked`, without decoding it."""
-    return payload[1:3] == _TICK_TAG
 
 
 def record_from_bytes(payload: bytes) -> LogRecord:

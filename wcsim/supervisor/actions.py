@@ -56,15 +56,15 @@ class ActionSet:
 
     def nearest(self, joystick_xy: Sequence[float] | F32 | F64) -> int:
         """The action nearest to a joystick position (2,); ties go to the lower index."""
-        return int(self.nearest_many(np.asarray(joystick_xy, dtype=np.float64)[None])[0])
+        return int(self.nearest_many(np.asarray(joystick_xy, np.float64)[None])[0])
 
     def nearest_many(self, joysticks_xy: F32 | F64) -> I64:
         """The nearest actions to many positions, (N, 2) -> (N,)."""
-        return np.asarray(self._squared(joysticks_xy).argmin(axis=1), dtype=np.int64)
+        return np.asarray(self._squared(joysticks_xy).argmin(axis=1), np.int64)
 
     def distance(self, action: int, joystick_xy: Sequence[float] | F32 | F64) -> float:
         """Distance of an action's position to a joystick position, at most 2 (Table 1)."""
-        dx, dy = self.points[action] - np.asarray(joystick_xy, dtype=np.float64)
+        dx, dy = self.points[action] - np.asarray(joystick_xy, np.float64)
         return min(float(np.hypot(dx, dy)), MAX_DISTANCE)
 
     def distances(self, joysticks_xy: F32 | F64) -> F64:
@@ -73,10 +73,8 @@ class ActionSet:
 
     def _squared(self, joysticks_xy: F32 | F64) -> F64:
         # Axis by axis: a sum over so short an axis takes several times as long.
-        gap_x, gap_y = (
-            np.asarray(joysticks_xy, dtype=np.float64).T[:, :, None] - self.points.T[:, None]
-        )
-        return np.asarray(gap_x * gap_x + gap_y * gap_y, dtype=np.float64)
+        gap_x, gap_y = np.asarray(joysticks_xy, np.float64).T[:, :, None] - self.points.T[:, None]
+        return np.asarray(gap_x * gap_x + gap_y * gap_y, np.float64)
 
 
 def action_set(name: str) -> ActionSet:
@@ -96,5 +94,5 @@ def action_set(name: str) -> ActionSet:
     if name == "disc69":
         cells = cells[(cells**2).sum(axis=1) <= _DISC_LIMIT]
     index = {(int(i), int(j)): k for k, (i, j) in enumerate(cells)}
-    mirror = np.array([index[-int(i), int(j)] for i, j in cells], dtype=np.int64)
+    mirror = np.array([index[-int(i), int(j)] for i, j in cells], np.int64)
     return ActionSet(name=name, points=cells * _STEP, mirror=mirror)

@@ -184,11 +184,11 @@ def sum_kpi_steps(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
     speed_mps = numbers[:, 5]
     free = np.array([each.free for each in steps], np.bool_)
     within = distance <= FOLLOWED
-    pushed = _out(user) > _PUSHES
+    pushed = np.hypot(*user.T) > _PUSHES
     moving = free & pushed
     stands = np.abs(speed_mps) < _STANDS_MPS
     blocked = free & (user[:, 1] > _PUSHES) & (given[:, 1] < _BLOCKED_SHARE * user[:, 1])
-    frozen = stands & pushed & (_out(given) < _PUSHES)
+    frozen = stands & pushed & (np.hypot(*given.T) < _PUSHES)
     # A crash says nothing of how smooth the drive was.
     smooth = len(steps) - bool(steps and steps[-1].events.crashed)
     accelerations = np.diff(speed_mps[:smooth]) / tick_s
@@ -226,11 +226,6 @@ def _long_stretches(frozen: Bool, tick_s: float) -> int:
     lasted_s = (edges[1::2] - edges[::2]) * tick_s
     # A hair less: so many ticks may be a little under the bound.
     return int(np.count_nonzero(lasted_s >= _FREEZE_S - 1e-6))
-
-
-def _out(sticks: F64) -> F64:
-    """How far sticks (N, 2) are out, (N,)."""
-    return np.asarray(np.hypot(sticks[:, 0], sticks[:, 1]), np.float64)
 
 
 def _travel(sticks: F64) -> float:

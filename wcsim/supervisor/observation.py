@@ -35,6 +35,7 @@ _WITHOUT_PICTURES: Final = (
     "env.observation=compact"
 )
 
+_FOLDED: Final = make_cityscapes_class_table().tobytes()  # by class id
 _ACCEL_FULL_SCALE_MPS2: Final = 40.0  # maximum of Table 1
 _GYRO_FULL_SCALE_RADPS: Final = 4.0  # more than a chair turns before it falls
 _IMU_SIZE: Final = 5  # numbers of the IMU in the paper's observation
@@ -231,7 +232,7 @@ def encode_depth(depth_m: F32, range_m: float) -> U8:
     """
     # The leading bits of a float32 are a logarithm already: a table over them is many times faster
     # than np.log.
-    bits = np.ascontiguousarray(depth_m, dtype=np.float32).view(np.uint32)
+    bits = np.ascontiguousarray(depth_m, np.float32).view(np.uint32)
     code = np.empty(bits.shape, np.uint8)
     _look_up(bits.reshape(-1), _depth_codes(float(range_m)), code.reshape(-1))
     return code
@@ -252,8 +253,7 @@ def decode_depth(code: U8, range_m: float) -> F32:
     steps = np.arange(-1, _DEPTH_STEPS + 1) / _DEPTH_STEPS
     metres = (_DEPTH_NEAR_M * (range_m / _DEPTH_NEAR_M) ** steps).astype(np.float32)
     metres[0] = 0.0
-    decoded: F32 = metres[code]
-    return decoded
+    return metres[code]
 
 
 @lru_cache(maxsize=8)
@@ -281,13 +281,8 @@ def _depth_codes(range_m: float) -> U8:
 
 def _fold(class_id: U8) -> U8:
     # Twice as fast as indexing with uint8.
-    folded = bytearray(class_id.tobytes()).translate(_fold_bytes())
+    folded = bytearray(class_id.tobytes()).translate(_FOLDED)
     return np.frombuffer(folded, np.uint8).reshape(class_id.shape)
-
-
-@lru_cache(maxsize=1)
-def _fold_bytes() -> bytes:
-    return make_cityscapes_class_table().tobytes()
 
 
 @lru_cache(maxsize=2)
@@ -296,8 +291,7 @@ def _planes(fold: bool) -> F32:
     table = make_class_palette()
     if fold:
         table = table[make_cityscapes_class_table()]
-    planes: F32 = np.ascontiguousarray(table.T, dtype=np.float32) / np.float32(255.0)
-    return planes
+    return np.ascontiguousarray(table.T, np.float32) / np.float32(255.0)
 
 
 def _frame(sensors: SensorFrame, name: str) -> CameraFrame:

@@ -203,7 +203,7 @@ class CrashOracle:
         r, wheels = matrix_from_quaternion(plant.q_WB.tolist()), self._body.wheels[:, :2]
         wheels_W_m = plant.p_WB_m + wheels @ np.array([(r[0], r[3], r[6]), (r[1], r[4], r[7])])
         above_m = wheels_W_m[:, 2] - (0.0 if grid.relief is FLAT else grid.relief.at(wheels_W_m))
-        first_s: F64 = predict_crash_times(
+        return predict_crash_times(
             _state(plant, accel_mps2),
             self._steps(waiting),
             commands,
@@ -216,7 +216,6 @@ class CrashOracle:
             others.people,
             self._tick_s,
         )
-        return first_s
 
     def _steps(self, waiting: Sequence[Joystick]) -> F64:
         """The waiting commands, shaped, one for each step of the roll-out (M, 2)."""

@@ -86,7 +86,9 @@ class PredictedChairPose:
             margin_m = _STATIC_MARGIN_M
             if thing.moving:
                 gap_m = ahead_m - half_length_m - thing.radius_m
-                meet_s = _meet_s(gap_m, desired_mps - along_mps)
+                closing_mps = desired_mps - along_mps
+                if gap_m > 0.0:
+                    meet_s = gap_m / closing_mps if closing_mps > _CLOSING_MPS else math.inf
                 margin_m = _MOVING_MARGIN_M
             if meet_s > _MEET_S or abs(across_mps) > _DART_MPS:
                 continue
@@ -195,12 +197,6 @@ def choose_lateral_offset(
         return abs(offset - home_m) + _CHANGE_COST * abs(offset - before_m)
 
     return min(free, key=cost, default=None)
-
-
-def _meet_s(gap_m: float, closing_mps: float) -> float:
-    if gap_m <= 0.0:
-        return 0.0
-    return gap_m / closing_mps if closing_mps > _CLOSING_MPS else math.inf
 
 
 class PavementWidthScanner:

@@ -338,7 +338,8 @@ def _has_conflict(crossing: RouteCrossing, vehicles: Iterable[ActorState]) -> bo
     length_m = math.dist(crossing.start_W_m, crossing.end_W_m)
     needed_s = _START_S + length_m / _CROSSING_MPS
     later_s = np.arange(0.0, needed_s + _GAP_S, _STEP_S)  # (T,)
-    start_W_m, end_W_m = np.array(crossing.start_W_m), np.array(crossing.end_W_m)
+    start_W_m = np.array(crossing.start_W_m)
+    along_m = np.subtract(crossing.end_W_m, start_W_m)
     for vehicle in vehicles:
         v: F64 = vehicle.v_W_mps[:2]
         speed_mps = float(np.hypot(v[0], v[1]))
@@ -347,7 +348,11 @@ def _has_conflict(crossing: RouteCrossing, vehicles: Iterable[ActorState]) -> bo
         ends = np.array([-1.0, 0.0, 1.0])[:, None]  # tail, middle, nose
         ends_m = 0.5 * vehicle.size_lwh_m[0] / speed_mps * ends * v
         points = vehicle.p_W_m[:2] + later_s[:, None, None] * v + ends_m  # (T, 3, 2)
-        share, distance_m = _nearest_on(points, start_W_m, end_W_m)
+        # Where along the crossing (0..1) these places are nearest to it, and how far off it.
+        share = (points - start_W_m) @ along_m / max(float(along_m @ along_m), 1e-12)
+        share = np.clip(share, 0.0, 1.0)
+        off_m = points - start_W_m - share[..., None] * along_m
+        distance_m = np.hypot(off_m[..., 0], off_m[..., 1])
         chair_s = _START_S + share * length_m / _CROSSING_MPS
         when_s = np.broadcast_to(later_s[:, None], share.shape)
         close = (when_s < _GAP_S) | (np.abs(when_s - chair_s) < _GAP_S)
@@ -371,11 +376,3 @@ def _passes_wide(
     aside_m = abs(to_x * vy - to_y * vx) / speed_mps
     ahead_m = (to_x * vx + to_y * vy) / speed_mps
     return bool(aside_m > near_m or ahead_m < -(near_m + 0.5 * length_m))
-
-
-def _nearest_on(points: F64, start: F64, end: F64) -> tuple[F64, F64]:
-    """Where along a stretch (0..1) points (..., 2) are nearest to it, and how far off it."""
-    along = end - start
-    share = np.clip((points - start) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
-    off = points - start - share[..., None] * along
-    return share, np.hypot(off[..., 0], off[..., 1])

@@ -19,6 +19,8 @@ _VEHICLE_SIGHT: Final = 7.0
 _RIDER_SIGHT: Final = 4.0  # of moving bicycles and scooters as traffic: 24 m are 3 s at 8 m/s
 # What was detected is known of until it is this many times as far away.
 _MEMORY_SIGHT: Final = 1.5
+FARTHEST_SIGHT: Final = _MEMORY_SIGHT * _VEHICLE_SIGHT
+"""From that many times `see_m` a user may know of the middle of anything, its length besides."""
 _AROUND_M: Final = 25.0  # farther away is nothing yet to go around or to stop behind
 _FORGET_S: Final = 10.0
 _MOST_REMEMBERED: Final = 256
@@ -43,11 +45,6 @@ class DetectedObject:
     def moving(self) -> bool:
         """Whether it moves at more than a creep."""
         return math.hypot(self.vx_mps, self.vy_mps) > _CREEP_MPS
-
-
-def farthest_sight_m(profile: UserProfile) -> float:
-    """From how far away a user may know of the middle of anything at all, its length besides."""
-    return _MEMORY_SIGHT * _VEHICLE_SIGHT * profile.see_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,14 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import (
-    PROFILE,
-    escape,
-    escape_repr,
-    parse_json,
-    read_module_toml,
-    read_toml,
-)
+from wcsim.core.reading import PROFILE, escape, escape_repr, parse_json, read_module_toml, read_toml
 from wcsim.errors import ConfigError, meant
 
 _SUFFIX: Final = ".toml"
@@ -114,38 +107,28 @@ def sample_profile(base: UserProfile, rng: np.random.Generator) -> UserProfile:
     def around(value: float) -> float:
         return value * float(rng.uniform(1.0 - base.spread, 1.0 + base.spread))
 
-    # The order of these draws is part of what a seed means.
-    user = replace(
-        base,
-        reaction_s=around(base.reaction_s),
-        lag_s=around(base.lag_s),
-        lookahead_m=around(base.lookahead_m),
-        noise=around(base.noise),
-        noise_rate=around(base.noise_rate),
-        tremor=around(base.tremor),
-        tremor_hz=around(base.tremor_hz),
-        gain=(1.0 + around(base.gain[0] - 1.0), 1.0 + around(base.gain[1] - 1.0)),
-        bias=(around(base.bias[0]), base.bias[1]),
-        see_share=1.0 - around(1.0 - base.see_share),
-        see_m=around(base.see_m),
-        away_share=around(base.away_share),
-        away_s=around(base.away_s),
-        correct_every_s=around(base.correct_every_s),
-        speed_share=around(base.speed_share),
-        give_up_s=around(base.give_up_s),
-        law_share=1.0 - around(1.0 - base.law_share),
-        hold_s=around(base.hold_s),
-    )
+    # The order of these draws is part of what a seed means: it is that of the limits.
+    drawn = asdict(base)
+    for name in PROFILE_LIMITS:
+        value = drawn[name]
+        if name == "gain":
+            drawn[name] = tuple(1.0 + around(part - 1.0) for part in value)
+        elif name == "bias":
+            drawn[name] = (around(value[0]), value[1])
+        elif name in ("see_share", "law_share"):
+            drawn[name] = 1.0 - around(1.0 - value)
+        elif name not in ("ask_share", "spread"):
+            drawn[name] = around(value)
     # Last, so that a user of a seed is in all else what it was before this was drawn.
-    user = replace(user, bias=(user.bias[0], around(base.bias[1])))
+    drawn["bias"] = (drawn["bias"][0], around(base.bias[1]))
     bounded: dict[str, Any] = {}
     for name, (low, high) in PROFILE_LIMITS.items():
-        value = getattr(user, name)
+        value = drawn[name]
         if name in PAIRS:
             bounded[name] = tuple(min(max(part, low), high) for part in value)
         else:
             bounded[name] = min(max(value, low), high)
-    return replace(user, **bounded)
+    return replace(base, **bounded)
 
 
 def profile_from_json(text: str, where: str) -> UserProfile:

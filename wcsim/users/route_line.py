@@ -46,7 +46,15 @@ class RoutePolyline:
         self._unit = along / self._lengths[:, None]
         self._arc: list[float] = np.r_[0.0, np.cumsum(self._lengths)].tolist()
         self._headings = np.arctan2(along[:, 1], along[:, 0])
-        self._corners = self._find_corners()
+        # (arc, angle turned around there) of every bend worth slowing down for, in order
+        self._corners: list[tuple[float, float]] = []
+        turns = np.diff(self._headings)
+        turns = np.abs((turns + np.pi) % (2.0 * np.pi) - np.pi)
+        at = np.array(self._arc[1:-1])
+        for arc_m, turn in zip(at.tolist(), turns.tolist(), strict=True):
+            sharpness = float(turns[np.abs(at - arc_m) <= 0.5 * _CORNER_WINDOW_M].sum())
+            if turn > 1e-3 and sharpness > _GENTLE_TURN_RAD:
+                self._corners.append((arc_m, sharpness))
 
     @property
     def length_m(self) -> float:
@@ -93,18 +101,6 @@ class RoutePolyline:
             self._points, self._unit, self._lengths, x_m, y_m, first, last
         )
         return _RoutePoint(self._arc[i] + ahead_m, left_m), off_m
-
-    def _find_corners(self) -> list[tuple[float, float]]:
-        """(arc, angle turned around there) of every bend worth slowing down for, in order."""
-        turns = np.diff(self._headings)
-        turns = np.abs((turns + np.pi) % (2.0 * np.pi) - np.pi)
-        at = np.array(self._arc[1:-1])
-        corners = []
-        for arc_m, turn in zip(at.tolist(), turns.tolist(), strict=True):
-            sharpness = float(turns[np.abs(at - arc_m) <= 0.5 * _CORNER_WINDOW_M].sum())
-            if turn > 1e-3 and sharpness > _GENTLE_TURN_RAD:
-                corners.append((arc_m, sharpness))
-        return corners
 
 
 @compile_exact_kernel

@@ -22,7 +22,7 @@ from wcsim.types.chair import AT_REST
 from wcsim.users.avoidance import LateralOffsetPlanner, PredictedChairPose
 from wcsim.users.crossing import CrossingStopPlanner, RouteCrossing, find_route_crossings
 from wcsim.users.hand import StickHandModel, SwitchHandModel, clip_to_disc
-from wcsim.users.perception import PerceivedObjects, UserPerception, farthest_sight_m
+from wcsim.users.perception import FARTHEST_SIGHT, PerceivedObjects, UserPerception
 from wcsim.users.profiles import UserProfile
 from wcsim.users.route_line import RoutePolyline
 from wcsim.users.turning import ActiveTurn, AxlePose, TurnPlan, plan_turn
@@ -189,7 +189,7 @@ class SimulatedUser(User):
         # A generator for each part: what one part draws does not change what another does.
         attention_rng, hand_rng, self._miss_rng, self._law_rng, self._fear_rng = rng.spawn(5)
         self._perception = UserPerception(profile, attention_rng)
-        self.sight_m = farthest_sight_m(profile)
+        self.sight_m = FARTHEST_SIGHT * profile.see_m
         self._hand = (
             SwitchHandModel(profile) if profile.discrete else StickHandModel(profile, hand_rng)
         )
@@ -331,11 +331,13 @@ class SimulatedUser(User):
         self._witness = (view, seen)
 
         # 2. Slow down for what the route has: corners, its end, a ramp, a kerb to wait at.
+        rear_m = body.arc_m - 0.5 * self._outline.length_m
+        slope_m = self._lanes.slope_ahead(rear_m, _SLOPE_AHEAD_M)
         speed_mps = min(
             desired_mps,
             path.speed_limit(body.arc_m, _CORNER_RADPS, _BRAKE_MPS2, _CORNER_AHEAD_M),
             _stopping_speed(path.length_m - body.arc_m),
-            self._slope_speed(body),
+            math.hypot(_SLOPE_MPS, _stopping_speed(slope_m - self._outline.length_m)),
         )
         kerb_m = self._stops.stop_m(self._arc_m, view.time_s, view.signals, seen.vehicles)
         self._stop_m = kerb_m
@@ -416,12 +418,6 @@ class SimulatedUser(User):
         starts = time_s - self._scared_at_s > _CALM_S
         self._scared_at_s = time_s
         return starts and bool(self._fear_rng.random() < self.profile.ask_share)
-
-    def _slope_speed(self, body: PredictedChairPose) -> float:
-        """The speed from which the chair is slow enough where the ground slopes."""
-        rear_m = body.arc_m - 0.5 * self._outline.length_m
-        slope_m = self._lanes.slope_ahead(rear_m, _SLOPE_AHEAD_M)
-        return math.hypot(_SLOPE_MPS, _stopping_speed(slope_m - self._outline.length_m))
 
     def _goal(
         self, body: PredictedChairPose, path: RoutePolyline, arc_m: float

@@ -30,7 +30,15 @@ from wcsim.towns.scenario.town import Town
 from wcsim.types import F32, U8, CameraFrame, ClassId, Joystick, Route, SeatSpec, Snapshot
 from wcsim.users.recordings.recorded_user import find_user
 from wcsim.view.map import MapView, street_video
-from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side, with_legend
+from wcsim.view.pictures import (
+    captioned,
+    class_colours,
+    darken,
+    depth_colours,
+    open_video,
+    side_by_side,
+    with_legend,
+)
 
 _FILM_PX: Final = 480
 
@@ -91,7 +99,7 @@ _MAP_SPAN_M: Final = 60.0
 SIGHT_M = 200.0  # of pictures for people: a street ends in the distance, not where a sensor's range does
 _FILM_CAMERA: Final = "film"  # beside those of the policy, which sees nothing of it
 _PAD_SHARE: Final = 0.28  # of the picture's height
-_DARK, _RIM = (28, 32, 38), (150, 156, 164)
+_RIM = (150, 156, 164)
 ASKED_RGB, GIVEN_RGB, WARN_RGB = (90, 170, 255), (255, 170, 40), (230, 40, 40)
 
 
@@ -309,7 +317,7 @@ def with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -
     side = max(24, round(_PAD_SHARE * height))
     left, top = width - side - 6, height - side - 6
     pad = image[top : top + side, left : left + side]
-    pad[:] = (0.3 * pad + 0.7 * np.array(_DARK)).astype(np.uint8)
+    darken(pad, 0.3)
     middle, reach = side // 2, 0.42 * side
     cv2.rectangle(pad, (0, 0), (side - 1, side - 1), WARN_RGB if warning else _RIM, 3 if warning else 1)
     cv2.line(pad, (middle, 4), (middle, side - 5), _RIM, 1)
@@ -325,8 +333,7 @@ def with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -
         (wide, high), below = cv2.getTextSize(word, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
         at = (left + 3, low - below - 1)
         strip_top = max(0, low - high - below - 4)
-        strip = image[strip_top:low, left : left + wide + 6]
-        strip[:] = (0.3 * strip + 0.7 * np.array(_DARK)).astype(np.uint8)
+        darken(image[strip_top:low, left : left + wide + 6], 0.3)
         cv2.putText(image, word, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
         low = strip_top
     if warning:

@@ -15,7 +15,7 @@ from wcsim.physics.renderer.instances import ChairPose, actor_instances, chair_i
 from wcsim.physics.sensors.camera import FreeCamera
 from wcsim.physics.sensors.camera_geometry import look_along
 from wcsim.types import F64, U8, ActorKind, ActorState, ClassId, Route, StreetMesh
-from wcsim.view.pictures import open_video, side_by_side
+from wcsim.view.pictures import darken, open_video, side_by_side
 
 # From so high that roofs and trees lean out of the picture hardly at all, and the map is true to scale.
 _HEIGHT_M = 400.0
@@ -38,7 +38,7 @@ ROUTE_RGB = (0, 72, 40)  # and a light edge: one of them stands out from grass, 
 _EDGE_RGB = (250, 250, 250)
 _ROOF_SHARE = 0.5  # of a roof's brightness: in full it is that of a road
 _BAR_M, _BAR_ALOFT = 10.0, 0.04  # the bar of the scale, and how far it is from the edges, as a share of the map
-_BAR_RGB, _BAR_GROUND_RGB = (250, 250, 250), (28, 32, 38)
+_BAR_RGB = (250, 250, 250)
 _SMALL_PX = 7  # what is smaller (people, mostly) is drawn as a dot of this size
 
 
@@ -120,23 +120,19 @@ def street_video(path: Path, world: World, span_m: float) -> Iterator[Callable[[
     with open_video(path, world.config.world.tick_s) as write:
 
         def add(picture: U8) -> U8:
-            frame = side_by_side(picture, _map_of(view, world))
+            # Around the first wheelchair: its route, all actors and wheelchairs, the scale.
+            snapshot, clients = world.snapshot, world.snapshot.clients
+            chairs = [
+                chair_pose(client.seat, client.plant, seat.chair.outline)
+                for client, seat in zip(clients, world.seats, strict=True)
+            ]
+            image = view.draw(clients[0].plant.p_WB_m, snapshot.actors, chairs, world.seats[0].route)
+            _draw_scale(image, view.px_per_m)
+            frame = side_by_side(picture, image)
             write(frame)
             return frame
 
         yield add
-
-
-def _map_of(view: MapView, world: World) -> U8:
-    """The map around the first wheelchair of a world now: its route, all actors and wheelchairs in it, the scale."""
-    snapshot, outlines = world.snapshot, [seat.chair.outline for seat in world.seats]
-    chairs = [
-        chair_pose(client.seat, client.plant, outline)
-        for client, outline in zip(snapshot.clients, outlines, strict=True)
-    ]
-    image = view.draw(snapshot.clients[0].plant.p_WB_m, snapshot.actors, chairs, world.seats[0].route)
-    _draw_scale(image, view.px_per_m)
-    return image
 
 
 def _draw_scale(image: U8, px_per_m: float) -> None:
@@ -145,8 +141,7 @@ def _draw_scale(image: U8, px_per_m: float) -> None:
     away, size, word = max(6, round(_BAR_ALOFT * height)), max(0.35, height / 1000.0), f"{_BAR_M:g} m"
     left, right, low = away, away + round(_BAR_M * px_per_m), height - away
     (wide, high), below = cv2.getTextSize(word, cv2.FONT_HERSHEY_SIMPLEX, size, 1)
-    ground = image[low - high - below - 10 : low + 6, left - 5 : max(right, left + wide) + 6]
-    ground[:] = (0.35 * ground + 0.65 * np.array(_BAR_GROUND_RGB)).astype(np.uint8)
+    darken(image[low - high - below - 10 : low + 6, left - 5 : max(right, left + wide) + 6], 0.35)
     cv2.line(image, (left, low), (right, low), _BAR_RGB, 1)
     for end in (left, right):
         cv2.line(image, (end, low - 3), (end, low + 3), _BAR_RGB, 1)

@@ -62,10 +62,14 @@ def captioned(image: U8, text: str) -> U8:
     out = np.array(image, np.uint8, order="C")
     scale = max(0.35, out.shape[1] / 800.0)
     (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
-    strip = out[: height + below + 6, : width + 10]
-    strip[:] = (0.35 * strip + 0.65 * np.array(_STRIP_RGB)).astype(np.uint8)
+    darken(out[: height + below + 6, : width + 10], 0.35)
     cv2.putText(out, text, (5, height + 4), cv2.FONT_HERSHEY_SIMPLEX, scale, INK_RGB, 1, cv2.LINE_AA)
     return out
+
+
+def darken(area: U8, share: float) -> None:
+    """Darken a part (H, W, 3) of a picture for words on it; a share of its own colours stays."""
+    area[:] = (share * area + (1.0 - share) * np.array(_STRIP_RGB)).astype(np.uint8)
 
 
 def write_png(path: Path, image: U8) -> None:

@@ -327,13 +327,12 @@ def _mark_goal(chart: U8, goal_m: F64, span_m: float) -> U8:
     u, v = (0.5 * size + (away if inside else away * (reach / far))).round().astype(int).tolist()
     if inside:
         cv2.line(chart, (u, v), (u, v - 16), _RIM_RGB, 2, cv2.LINE_AA)
-    _fill(chart, [(u, v - 16), (u + 12, v - 11), (u, v - 6)] if inside else _arrow(u, v, away), GOAL_RGB)
+        mark = [(u, v - 16), (u + 12, v - 11), (u, v - 6)]
+    else:
+        x, y = away / np.hypot(*away)
+        mark = [(u + 9 * x, v + 9 * y), (u - 6 * x - 7 * y, v - 6 * y + 7 * x), (u - 6 * x + 7 * y, v - 6 * y - 7 * x)]
+    _fill(chart, mark, GOAL_RGB)
     return chart
-
-
-def _arrow(u: int, v: int, along: F64) -> list[tuple[float, float]]:
-    x, y = along / np.hypot(*along)
-    return [(u + 9 * x, v + 9 * y), (u - 6 * x - 7 * y, v - 6 * y + 7 * x), (u - 6 * x + 7 * y, v - 6 * y - 7 * x)]
 
 
 class _Arm:
@@ -449,7 +448,9 @@ class StreetPictures:
     def _scene(self, moment: Moment, looks: PageLooks, dt_s: float) -> SeenStreet:
         here_W_m = moment.chair.p_WB_m
         orbit = self._arm.held(here_W_m, self._yaw_rad, looks.orbit, dt_s)
-        scene = self._look(_pinhole(looks), _eye(here_W_m, self._yaw_rad, orbit), *self._rows(moment))
+        size_px = (looks.width_px, looks.height_px)
+        lens = _lens(size_px, focal_px(min(size_px), _FIELD_RAD), 0.1)
+        scene = self._look(lens, _eye(here_W_m, self._yaw_rad, orbit), *self._rows(moment))
         if moment.route is not None:
             _mark_way(scene, _ground_points(moment.route, moment.done_m, self._grid))
         _mark_track(scene, moment, self._grid)
@@ -464,7 +465,8 @@ class StreetPictures:
             T_CW = camera_matrix(pose_matrix(moment.chair.p_WB_m, moment.chair.q_WB), mount(front))
             rows, shown = self._rows(moment)
             shown[len(moment.actors) + moment.column] = False  # the chair itself, which its camera does not see
-            scene = self._look(_lens(front) if colour else pinhole(front), T_CW, rows, shown)
+            lens = _lens(_CAMERA_PX, focal_px(_CAMERA_PX[0], deg2rad(front.hfov_deg)), front.near_m)
+            scene = self._look(lens if colour else pinhole(front), T_CW, rows, shown)
             if colour:
                 return scene.picture
             class_id, depth_m = scene.images.class_id, scene.images.depth_m
@@ -524,33 +526,15 @@ def _packed(number: int, parts: Iterable[tuple[bytes, U8]]) -> bytes:
     """
     message = bytearray(_HEAD.pack(number))
     for letter, picture in parts:
-        data = _jpeg(picture)
-        message += _PART.pack(letter, len(data)) + data
+        _, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+        message += _PART.pack(letter, len(data)) + data.tobytes()
     return bytes(message)
 
 
-def _jpeg(picture: U8) -> bytes:
-    """A picture (H, W, 3), RGB, as JPEG."""
-    _, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return data.tobytes()
-
-
-def _pinhole(looks: PageLooks) -> Pinhole:
-    width, height = looks.width_px, looks.height_px
-    return Pinhole(
-        width_px=width,
-        height_px=height,
-        focal_px=focal_px(min(width, height), _FIELD_RAD),
-        near_m=0.1,
-        range_m=SIGHT_M,
-    )
-
-
-def _lens(front: CameraConfig) -> Pinhole:
-    """A camera for people where the chair's own is: it sees as far as they do."""
-    width, height = _CAMERA_PX
-    focal = focal_px(width, deg2rad(front.hfov_deg))
-    return Pinhole(width_px=width, height_px=height, focal_px=focal, near_m=front.near_m, range_m=SIGHT_M)
+def _lens(size_px: tuple[int, int], focal: float, near_m: float) -> Pinhole:
+    """A camera for people: it sees as far as they do."""
+    width, height = size_px
+    return Pinhole(width_px=width, height_px=height, focal_px=focal, near_m=near_m, range_m=SIGHT_M)
 
 
 _LOOKS = PageLooks(width_px=960, height_px=540)

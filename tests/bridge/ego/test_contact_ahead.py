@@ -9,10 +9,11 @@ import pytest
 from tests.physics.rig import FORWARD, actor, rig, step_street
 from tests.physics.wheelchair.test_kerb_drop import KERB_X_M, raster, step_grid
 from tests.support.plants import plant_state
-from wcsim.bridge.ego.contact_ahead import SLOWER_MPS, meets_body, meets_edge
+from wcsim.bridge.ego.contact_ahead import SLOWER_MPS, find_plane, meets_body, meets_edge
 from wcsim.config import ChairConfig
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.types import ActorKind
+from wcsim.types.street import Relief, StreetGrid
 
 TICK_S = 0.1
 WHEELS_M = plant_spec(ChairConfig()).wheels_m()
@@ -110,3 +111,47 @@ def test_a_chair_that_drives_gets_farther():
     person = actor("p:one", 1.0, 0.0, kind=ActorKind.PEDESTRIAN, size=(0.4, 0.4, 1.7))
     assert not meets_body([CHAIR], {}, [person], TICK_S)
     assert meets_body([replace(CHAIR, v_W_mps=np.array([1.67, 0.0, 0.0]))], {}, [person], TICK_S)
+
+
+WAY_M = 1.5
+
+
+def plane_of(x_m: float, ground: StreetGrid, speed_mps: float = 1.0, y_m: float = 0.0):
+    """Of a chair that may come as far as `WAY_M` ahead or back, and 0.3 m more all round."""
+    middle_m = x_m + math.copysign(0.5 * WAY_M, speed_mps)
+    reach = middle_m, y_m, 1.0, 0.0, 0.5 * (1.1 + WAY_M) + 0.3, 0.5 * 0.65 + 0.3
+    return find_plane(chair(x_m, speed_mps, y_m=y_m), reach, ground)
+
+
+def test_a_plane_ends_where_a_kerb_is_in_reach():
+    low = KERB.height_here(0.0, 0.0)
+    edge_m = KERB_X_M - (0.55 + WAY_M + 0.3)
+    assert plane_of(edge_m - 0.15, KERB) == (pytest.approx(low), 0.0, 0.0)
+    assert plane_of(edge_m + 0.15, KERB) is None
+    assert plane_of(KERB_X_M + 3.0, KERB) == (pytest.approx(low + 0.02), 0.0, 0.0)
+    # Backing off, the kerb behind is what counts.
+    assert plane_of(edge_m + 0.15, KERB, speed_mps=-1.0) is not None
+    assert plane_of(KERB_X_M + 2.0, KERB, speed_mps=-1.0) is None
+
+
+@pytest.mark.parametrize(
+    "at_m, is_free", [((1.9, 0.0), False), ((1.9, 0.5), False), ((2.7, 0.0), True), ((1.0, 0.8), True)]
+)
+def test_a_plane_has_nothing_solid_on_it(at_m, is_free):
+    grid = raster(lambda x: 0.0)
+    clearance_dm = grid.clearance_dm.copy()
+    row, col = grid.cells(np.array(at_m))
+    clearance_dm[row, col] = 0
+    assert (plane_of(0.0, replace(grid, clearance_dm=clearance_dm)) is not None) == is_free
+
+
+def test_a_hillside_is_a_plane_and_its_crest_is_none():
+    level = raster(lambda x: 0.0)
+    x_m, y_m = np.meshgrid(10.0 * np.arange(-3, 5), 10.0 * np.arange(-3, 5))
+    hill = Relief(origin_W_m=(-30.0, -30.0), cell_m=10.0, z_m=(50.0 + 0.05 * x_m - 0.02 * y_m).astype(np.float32))
+    side = plane_of(3.0, replace(level, relief=hill), y_m=1.0)
+    assert side is not None
+    assert side == pytest.approx((level.height_here(0.0, 0.0) + 50.0 + 0.15 - 0.02, 0.05, -0.02), abs=1e-4)
+    crest = replace(hill, z_m=(50.0 - 0.05 * np.abs(x_m)).astype(np.float32))
+    assert plane_of(-1.0, replace(level, relief=crest)) is None
+    assert plane_of(4.0, replace(level, relief=crest)) is not None

@@ -9,7 +9,7 @@ from tests.physics.rig import FORWARD, mesh, rig, step_street
 from tests.support.samples import strip_street
 from tests.support.worlds import open_world, push
 from wcsim.config import resolve
-from wcsim.physics.wheelchair.wheelchair import SAMPLE_S, fell
+from wcsim.physics.wheelchair.wheel_track import SAMPLE_S, fell
 from wcsim.supervisor.rewards import _crash_term
 from wcsim.towns.street import load_street
 from wcsim.types import ClassId, Joystick, SeatSpec, StartSpec, StreetGrid, WayKind

@@ -5,7 +5,7 @@ import pytest
 
 from tests.physics.rig import FORWARD, rig
 from wcsim.physics.wheelchair.plant import varied
-from wcsim.physics.wheelchair.wheelchair import KEPT_S, SAMPLE_S
+from wcsim.physics.wheelchair.wheel_track import KEPT_S, SAMPLE_S
 
 
 @pytest.mark.parametrize("hz", [120, 240, 480])

@@ -20,8 +20,9 @@ import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
+from wcsim.agents.runs.policy_file import parse_saved
 from wcsim.agents.runs.run_folder import (
     CONFIG,
     MANIFEST,
@@ -32,12 +33,12 @@ from wcsim.agents.runs.run_folder import (
     require_empty_folder,
     run_manifest_from_json,
 )
-from wcsim.config import RunConfig, parse, resolve
+from wcsim.config import RunConfig, resolve
 from wcsim.config.load import Layer
 from wcsim.core import files, seeding
 from wcsim.core.own_folder import world_endpoint_from_folder
-from wcsim.core.reading import CLAIM, read_text
-from wcsim.errors import ConfigError, PolicyError, WcsimError
+from wcsim.core.reading import CLAIM, JsonObject, read_text
+from wcsim.errors import PolicyError, WcsimError
 from wcsim.log.reader import iter_journal_inputs, list_log_parts
 from wcsim.log.records import Ticked
 from wcsim.log.writer import JOURNAL
@@ -108,16 +109,12 @@ class GroupRunFolder:
 
     def done(self, name: str, steps: int) -> bool:
         """Whether a client has learned for so many steps in all."""
-        return self._own_manifest(name).get("status") == "done" and self.steps(name) >= steps
+        return _own_manifest(self.path / name).get("status") == "done" and self.steps(name) >= steps
 
     def steps(self, name: str) -> int:
         """Steps that a client has learned for, as far as its own run has them."""
-        done = self._own_manifest(name).get("steps", 0)
+        done = _own_manifest(self.path / name).get("steps", 0)
         return done if isinstance(done, int) else 0
-
-    def _own_manifest(self, name: str) -> dict[str, Any]:
-        folder = self.path / name
-        return read_run_json(folder, MANIFEST) if (folder / MANIFEST).is_file() else {}
 
     def fruitless(self) -> bool:
         """Whether nothing was done: no tick of the world, no step of a client, nothing saved.
@@ -139,10 +136,7 @@ class GroupRunFolder:
     def client_config(self, name: str) -> RunConfig:
         """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
         folder, file = self.path / CONFIGS, f"{name}.json"
-        try:
-            return parse(RunConfig, read_run_json(folder, file), str(folder / file))
-        except ConfigError as error:
-            raise PolicyError(str(error)) from None
+        return parse_saved(RunConfig, read_run_json(folder, file), str(folder / file))
 
     def truncated_parts(self) -> list[Path]:
         """What was cut off the ends of journal and ledgers, and is still there."""
@@ -198,10 +192,7 @@ def open_group_run_folder(path: Path) -> GroupRunFolder:
         isinstance(name, str) and _NAME.fullmatch(name) for name in clients
     ):
         raise PolicyError(f"{path} is a run of one network; expected one of wcsim train-clients")
-    try:
-        config = parse(RunConfig, read_run_json(path, CONFIG), str(path / CONFIG))
-    except ConfigError as error:
-        raise PolicyError(str(error)) from None
+    config = parse_saved(RunConfig, read_run_json(path, CONFIG), str(path / CONFIG))
     manifest = run_manifest_from_json(data, path)
     return GroupRunFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
 
@@ -360,7 +351,7 @@ def _write_manifest(folder: GroupRunFolder, next_sha256: Mapping[str, str] | Non
     files.write_json_with_checksum(folder.path / MANIFEST, data)
 
 
-def _check_sealed(path: Path, data: dict[str, Any]) -> None:
+def _check_sealed(path: Path, data: JsonObject) -> None:
     """Take seal and hashes out of a manifest, and check them; one of an older version has none.
 
     Raises:
@@ -377,9 +368,14 @@ def _check_sealed(path: Path, data: dict[str, Any]) -> None:
             raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
 
 
+def _own_manifest(run: Path) -> JsonObject:
+    """What a client's folder says of itself; nothing before it has begun."""
+    return read_run_json(run, MANIFEST) if (run / MANIFEST).is_file() else {}
+
+
 def _has_work(run: Path) -> bool:
     """Whether a client's folder holds a step, or results as `has_results` judges them."""
-    manifest = read_run_json(run, MANIFEST) if (run / MANIFEST).is_file() else {}
+    manifest = _own_manifest(run)
     steps = manifest.get("steps", 0)
     # Stopped before its first step: its policy is the one that it started with.
     if manifest.get("status") == "interrupted" and steps == 0:

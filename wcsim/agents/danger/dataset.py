@@ -23,7 +23,7 @@ from wcsim.config import RunConfig
 from wcsim.core.reading import decompress_zstd
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.types import F32, F64, I32, I64, U8
+from wcsim.types import F32, F64, I64, U8
 
 Inputs = tuple[torch.Tensor, ...]
 """Picture, vector and swept cells, see `DangerNet.forward`."""
@@ -60,8 +60,7 @@ def _happened(segment: DrivingSegment, actions: ActionSet, ahead: int, tick_s: f
     passed = (acts > 2 * ahead) & (held >= hold)
     label = np.where(crashed, 1, np.where(passed, 0, UNKNOWN)).astype(np.uint8)
     near = np.linalg.norm(actions.points[:, None] - actions.points, axis=2) <= _SHARED
-    labels: U8 = np.where(near[segment.action], label[:, None], np.uint8(UNKNOWN))
-    return labels
+    return np.where(near[segment.action], label[:, None], np.uint8(UNKNOWN))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,19 +194,15 @@ class Dataset:
 
 def to_tensors(extractor: FeatureExtractor, picture: U8, vector: F32, start: F64) -> Inputs:
     """What the network is called with, for a batch of B steps of chairs like that of `extractor`."""
+    around, chair = extractor.around, extractor.chair
+    # (B, A, n) over which cells each action sweeps.
+    swept = np.empty((len(start), len(around.commands), SLICES * EACH_SLICE * len(chair)), np.int32)
+    sweep(start, around.commands, around.limits, chair, swept)
     return (
         torch.from_numpy(picture).float().div_(255.0),
         torch.from_numpy(vector),
-        torch.from_numpy(_swept(extractor, start)).long(),
+        torch.from_numpy(swept).long(),
     )
-
-
-def _swept(extractor: FeatureExtractor, starts: F64) -> I32:
-    """Over which cells each action sweeps (B, A, n) from these states (B, 6)."""
-    around = extractor.around
-    swept = np.empty((len(starts), len(around.commands), SLICES * EACH_SLICE * len(extractor.chair)), np.int32)
-    sweep(starts, around.commands, around.limits, extractor.chair, swept)
-    return swept
 
 
 def _packed(frame: U8) -> bytes:

@@ -8,7 +8,7 @@ import math
 from typing import Final
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.nn import functional
 
 from wcsim.agents.danger.street_map import PLANES, SIDE, SLICES, VECTOR
@@ -52,7 +52,7 @@ class DangerNet(nn.Module):
         self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), _small_init(nn.Linear(48, count)))
         self.base = nn.Parameter(torch.tensor(_BASE))
 
-    def forward(self, picture: torch.Tensor, vector: torch.Tensor, swept: torch.Tensor) -> torch.Tensor:
+    def forward(self, picture: Tensor, vector: Tensor, swept: Tensor) -> Tensor:
         """Logits (B, A).
 
         Args:
@@ -95,9 +95,7 @@ class _RollOutHead(nn.Module):
         self.shuffle = nn.PixelShuffle(2)
         self.sharpness = nn.Parameter(torch.tensor(1.0))
 
-    def forward(
-        self, picture: torch.Tensor, near: torch.Tensor, far: torch.Tensor, swept: torch.Tensor
-    ) -> torch.Tensor:
+    def forward(self, picture: Tensor, near: Tensor, far: Tensor, swept: Tensor) -> Tensor:
         """(B, A)."""
         wide = functional.interpolate(functional.relu(self.narrow(far)), scale_factor=2.0)
         maps = self.shuffle(self.out(torch.cat([near, wide], 1))) + self.fine(picture)
@@ -105,7 +103,7 @@ class _RollOutHead(nn.Module):
         # A soft maximum: one bad cell is a crash, but the gradient has to reach its neighbours too. Never flat (0.2).
         sharp = functional.softplus(self.sharpness) + 0.2
         # Less the logarithm of how many: equal costs give that cost, however many cells are read.
-        return torch.as_tensor((torch.logsumexp(read * sharp, 2) - math.log(read.shape[2])) / sharp)
+        return (torch.logsumexp(read * sharp, 2) - math.log(read.shape[2])) / sharp
 
 
 class Context(nn.Module):
@@ -118,6 +116,6 @@ class Context(nn.Module):
         self.dense = nn.Sequential(nn.Linear(flat + VECTOR, 128), nn.ReLU(), nn.Linear(128, 64), nn.ReLU())
         self.out = _small_init(nn.Linear(64, count))
 
-    def forward(self, far: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
+    def forward(self, far: Tensor, vector: Tensor) -> Tensor:
         """(B, A)."""
         return torch.as_tensor(self.out(self.dense(torch.cat([self.squeeze(far), vector], 1))))

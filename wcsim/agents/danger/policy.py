@@ -37,8 +37,7 @@ def _within(danger: F64, rule: DangerRuleSettings, last: int = -1, taken: int = 
         limit[last] *= rule.hysteresis_factor
     if taken >= 0:
         limit[taken] *= GIVES_BACK
-    allowed: Bool = danger < limit
-    return allowed
+    return danger < limit
 
 
 def _next_recent(before: int, unsafe: bool, danger: float, rule: DangerRuleSettings) -> int:
@@ -111,6 +110,8 @@ class DangerPolicy(HearsSent):
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
     """
 
+    levels = LEVELS
+
     def __init__(
         self, name: str, net: DangerNet, config: RunConfig, rule: DangerRuleSettings, delay_ticks: int | None = None
     ) -> None:
@@ -130,11 +131,6 @@ class DangerPolicy(HearsSent):
     def warning(self) -> bool:
         """Whether the user's own stick is about to end badly, see `next_alarm_state`."""
         return self._alarm.on
-
-    @property
-    def levels(self) -> tuple[float, float]:
-        """Thresholds of danger, see `rule.LEVELS`: the highest assists least."""
-        return LEVELS
 
     @property
     def level(self) -> float:
@@ -208,12 +204,16 @@ def save_danger(
     return write_policy_folder(folder, net, said)
 
 
-def load_net(folder: Path) -> tuple[DangerNet, DangerRuleSettings]:
-    """The network of a policy folder, and its rule. Raises PolicyError: a file is missing, damaged or unfit."""
+def load_net(folder: Path, level: float | None = None) -> tuple[DangerNet, DangerRuleSettings]:
+    """The network of a policy folder, and its rule, with another level of assistance where there is one.
+
+    Raises PolicyError: a file is missing, damaged or unfit.
+    """
     file = read_danger_policy_file(folder)
     net = load_network(folder, file.weights_sha256, lambda: DangerNet(file))
     net.train(False)
-    return channels_last(net), file.rule
+    rule = file.rule if level is None else file.rule.model_copy(update={"threshold": level})
+    return channels_last(net), rule
 
 
 def load_danger(folder: Path, name: str, config: RunConfig, level: float | None = None) -> DangerPolicy:
@@ -229,5 +229,5 @@ def load_danger(folder: Path, name: str, config: RunConfig, level: float | None 
         PolicyError: It cannot be loaded, or was trained with another camera, class form or action set.
     """
     require_danger_policy_fits(folder, name, config)
-    net, rule = load_net(folder)
-    return DangerPolicy(name, net, config, rule if level is None else rule.model_copy(update={"threshold": level}))
+    net, rule = load_net(folder, level)
+    return DangerPolicy(name, net, config, rule)

@@ -202,13 +202,12 @@ class FeatureExtractor:
             for key in (DEPTH_KEY, CLASS_KEY)
         }
         self._actions = action_set(config.env.actions)
-        spec = plant_spec(config.chair)
-        self.around = StreetPerception(config, self._actions, spec.outline, delay_ticks)
+        self.around = StreetPerception(config, delay_ticks)
         around = self.around
         self._kinds, self._movers = kinds_of_ground(), movers()
         self._cells = np.zeros((RASTER, RASTER, 5), np.int64)
         self._heights_m = np.zeros((RASTER, RASTER, 2), np.float32)
-        self.chair = hull_and_wheels(around.box_B_m, np.array(spec.stand_m(), np.float64))
+        self.chair = hull_and_wheels(around.box_B_m, np.array(plant_spec(config.chair).stand_m(), np.float64))
         self.forget()
 
     def forget(self) -> None:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypedDict
 
-import gymnasium
 import numpy as np
+from gymnasium import spaces
 
 from wcsim.agents.envs.episode_view import (
     EnvObservation,
@@ -82,13 +82,13 @@ class StreetEnvSettings:
         fps = max(1, round(1 / self.config.world.tick_s))
         return {"render_modes": list(RENDER_MODES), "render_fps": fps, "name": "wcsim"}
 
-    def action_space(self) -> gymnasium.spaces.Discrete | gymnasium.spaces.Box:
+    def action_space(self) -> spaces.Discrete | spaces.Box:
         """The space of one chair's actions, a new one each time."""
         if self.config.env.actions == "stick":
-            return gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
-        return gymnasium.spaces.Discrete(len(action_set(self.config.env.actions)))
+            return spaces.Box(-1.0, 1.0, (2,), np.float32)
+        return spaces.Discrete(len(action_set(self.config.env.actions)))
 
-    def observation_space(self) -> gymnasium.spaces.Dict | gymnasium.spaces.Box:
+    def observation_space(self) -> spaces.Dict | spaces.Box:
         """The space of one chair's observations, a new one each time."""
         env = self.config.env
         if env.observation == "state":
@@ -222,7 +222,7 @@ class ChairGroup:
     def __init__(self, spec: StreetEnvSettings, count: int, options: EnvOptions) -> None:
         """So many chairs, each with its own copy of the user's reward terms, which have a state.
 
-        Raises ConfigError for a number of chairs that no world can have.
+        Raises ConfigError for a number of chairs that no world can have, or a seed that is none.
         """
         if not 1 <= count <= MAX_CHAIRS:
             raise ConfigError(f"chairs={count}; expected 1 to {MAX_CHAIRS} in one world")
@@ -230,6 +230,7 @@ class ChairGroup:
         terms = tuple(options.get("reward_terms", ()))
         self.all = [SeatEnvAdapter(spec.config, copy.deepcopy(terms)) for _ in range(count)]
         self._group: SeatLinkGroup | None = None
+        self.first_seed = validate_seed(options.get("seed"))
 
     def __getstate__(self) -> dict[str, Any]:
         """For copies. Raises ProtocolError while there is a world: several have no replay."""
@@ -245,22 +246,22 @@ class ChairGroup:
         return self._group is not None and not any(link.interrupted for link in self._group.links)
 
     def begin(self, seed: int | None) -> list[tuple[EnvObservation, Info]]:
-        """Begin every chair's first episode in a new world; without a seed, one is drawn."""
-        seed = (draw_random_seed() if seed is None else seed) % SEED_LIMIT
-        if not self.open:
-            self.close()
-        if self._group is None:
-            self._group = open_seat_links(self.spec.order(seed, len(self.all)))
-            frames = self._group.join()
-        else:
-            frames = self._group.begin_again(seed)
-        return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
+        """Begin every chair's next episode: without a tick, but with a seed in a new world.
 
-    def begin_next(self, seed: int | None = None) -> list[tuple[EnvObservation, Info]]:
-        """Begin every chair's next episode, without a tick; `seed` is for the first world."""
-        if self._group is None or not self.open:
-            return self.begin(seed)
-        frames = self._group.respawn()
+        The first world has the first seed; without one, a seed is drawn.
+        """
+        if seed is None and self._group is not None and self.open:
+            frames = self._group.respawn()
+        else:
+            seed = self.first_seed if seed is None else seed
+            seed = (draw_random_seed() if seed is None else seed) % SEED_LIMIT
+            if not self.open:
+                self.close()
+            if self._group is None:
+                self._group = open_seat_links(self.spec.order(seed, len(self.all)))
+                frames = self._group.join()
+            else:
+                frames = self._group.begin_again(seed)
         return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
 
     def send(self, seat: int, action: object) -> None:
@@ -274,7 +275,7 @@ class ChairGroup:
         Raises ProtocolError for another number of them, BadActionError for a wrong one; then
         nothing has moved.
         """
-        rows = np.asarray(actions, dtype=object)
+        rows = np.asarray(actions, object)
         rows = np.atleast_1d(rows) if self.spec.config.env.actions == "stick" else rows.reshape(-1)
         if len(rows) != len(self.all):
             raise ProtocolError(

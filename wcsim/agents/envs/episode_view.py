@@ -14,9 +14,8 @@ from contextlib import suppress
 from dataclasses import fields, replace
 from typing import Any, Final, NamedTuple, get_args
 
-import gymnasium
 import numpy as np
-import numpy.typing as npt
+from gymnasium import spaces
 
 from wcsim.agents import policy_api
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, JOYSTICK_KEY, RGB_KEY, STATE_SENSE
@@ -385,13 +384,13 @@ class FrameStacker:
         join = np.stack if policy_api.COLOURS_KEY in observation else np.concatenate
         missing = max(self._frames - len(self._observations), 1)
         self._observations.extend([observation] * missing)
-        images: dict[str, npt.NDArray[Any]] = {
+        images: Observation = {
             key: join([old[key] for old in self._observations]) for key in _image_keys(observation)
         }
         return {**observation, **images}
 
 
-def window_observation_space(space: gymnasium.spaces.Dict, frames: int) -> gymnasium.spaces.Dict:
+def window_observation_space(space: spaces.Dict, frames: int) -> spaces.Dict:
     """The space of the observations that `FrameStacker` makes of those in `space`."""
     if frames == 1:
         return space
@@ -399,10 +398,10 @@ def window_observation_space(space: gymnasium.spaces.Dict, frames: int) -> gymna
     for key in _image_keys(parts):
         planes, *size = space[key].shape or ()
         if policy_api.COLOURS_KEY in parts:
-            parts[key] = gymnasium.spaces.Box(0.0, 1.0, (frames, planes, *size), np.float32)
+            parts[key] = spaces.Box(0.0, 1.0, (frames, planes, *size), np.float32)
         else:
-            parts[key] = gymnasium.spaces.Box(0, 255, (frames * planes, *size), np.uint8)
-    return gymnasium.spaces.Dict(parts)
+            parts[key] = spaces.Box(0, 255, (frames * planes, *size), np.uint8)
+    return spaces.Dict(parts)
 
 
 def trim_frame_window(observation: policy_api.Observation, frames: int) -> policy_api.Observation:

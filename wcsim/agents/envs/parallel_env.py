@@ -5,19 +5,12 @@ the street, until the next `reset` makes a new world with all chairs. All act in
 """
 
 from collections.abc import Mapping
-from typing import Any, Unpack
+from typing import Unpack
 
-import gymnasium
 import numpy as np
+from gymnasium import spaces
 
-from wcsim.agents.envs.env_spec import (
-    ChairGroup,
-    EnvOptions,
-    draw_random_seed,
-    make_env_settings,
-    refuse_reset_options,
-    validate_seed,
-)
+from wcsim.agents.envs import env_spec
 from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.core import seeding
 from wcsim.errors import ProtocolError, check_installed
@@ -34,7 +27,7 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
     """Several wheelchairs in one town, for PettingZoo."""
 
     def __init__(
-        self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]
+        self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[env_spec.EnvOptions]
     ) -> None:
         """Describe the environment; the world is made by the first reset.
 
@@ -48,14 +41,14 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        spec = make_env_settings(town, options, ("town", "chairs"))
-        self._chairs = ChairGroup(spec, chairs, options)
-        self._seed = validate_seed(options.get("seed"))
+        spec = env_spec.make_env_settings(town, options, ("town", "chairs"))
+        self._chairs = env_spec.ChairGroup(spec, chairs, options)
+        self._seed = self._chairs.first_seed
         self._resets = 0  # since the seed was given, the first of them included
         self.config = spec.config
         self.render_mode = spec.render_mode
         self.metadata = {**spec.metadata, "is_parallelizable": True}
-        self.state_space = gymnasium.spaces.Box(-1e6, 1e6, (15 * chairs,), np.float64)
+        self.state_space = spaces.Box(-1e6, 1e6, (15 * chairs,), np.float64)
         self.possible_agents = [f"chair_{seat}" for seat in range(chairs)]
         self.agents: list[str] = []
         self._observation_spaces = {
@@ -63,16 +56,16 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
         }
         self._action_spaces = {agent: spec.action_space() for agent in self.possible_agents}
 
-    def observation_space(self, agent: str) -> gymnasium.spaces.Dict | gymnasium.spaces.Box:
+    def observation_space(self, agent: str) -> spaces.Dict | spaces.Box:
         """The space of an agent's observations; the same object each time."""
         return self._observation_spaces[agent]
 
-    def action_space(self, agent: str) -> gymnasium.spaces.Discrete | gymnasium.spaces.Box:
+    def action_space(self, agent: str) -> spaces.Discrete | spaces.Box:
         """The space of an agent's actions; the same object each time."""
         return self._action_spaces[agent]
 
     def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
+        self, seed: int | None = None, options: Info | None = None
     ) -> tuple[dict[str, EnvObservation], dict[str, Info]]:
         """Begin with all agents in a new world; without a seed, with the next one of the last seed.
 
@@ -81,13 +74,13 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
             TownError: The town cannot be used.
         """
         # PettingZoo's own tests give the option "options".
-        refuse_reset_options(name for name in options or () if name != "options")
-        seed = validate_seed(seed)
+        env_spec.refuse_reset_options(name for name in options or () if name != "options")
+        seed = env_spec.validate_seed(seed)
         if seed is not None:
             self._seed = seed
             self._resets = 0
         elif self._seed is None:
-            self._seed = draw_random_seed()
+            self._seed = env_spec.draw_random_seed()
         self._resets += 1
         if self._resets == 1:
             seed = self._seed

@@ -5,19 +5,17 @@ Its world lives in a process of its own. `save` makes a copy of that process whe
 user and all chance, to the bit, at the price of no tick.
 """
 
-from __future__ import annotations
-
 import os
 from contextlib import suppress
 from functools import partial
 from multiprocessing.connection import Client, Connection, Listener
-from typing import Any, Unpack, cast
+from typing import Unpack, cast
 
 import gymnasium
 import numpy as np
 
 from wcsim.agents.envs.env_spec import EnvOptions
-from wcsim.agents.envs.episode_view import EnvObservation
+from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.bridge.world_copy import go_on_in_copy
 from wcsim.core.closing import ClosingContextBase
@@ -71,8 +69,8 @@ class SavingEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         self._now: SavedMoment | None = None
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[EnvObservation, dict[str, Any]]:
+        self, *, seed: int | None = None, options: Info | None = None
+    ) -> tuple[EnvObservation, Info]:
         """See `WheelchairEnv.reset`."""
         super().reset(seed=seed)
         if seed is not None:
@@ -80,17 +78,11 @@ class SavingEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         if self._now is None:
             process, _ = start_piped_process(_serve, *self._make, name="wcsim-saving", daemon=True)
             self._first = self._now = SavedMoment(process)
-        return cast(
-            "tuple[EnvObservation, dict[str, Any]]", self._call("reset", seed=seed, options=options)
-        )
+        return cast("tuple[EnvObservation, Info]", self._call("reset", seed=seed, options=options))
 
-    def step(
-        self, action: np.int64 | int | F32
-    ) -> tuple[EnvObservation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64 | int | F32) -> tuple[EnvObservation, float, bool, bool, Info]:
         """See `WheelchairEnv.step`."""
-        return cast(
-            "tuple[EnvObservation, float, bool, bool, dict[str, Any]]", self._call("step", action)
-        )
+        return cast("tuple[EnvObservation, float, bool, bool, Info]", self._call("step", action))
 
     def render(self) -> U8 | None:
         """See `WheelchairEnv.render`."""

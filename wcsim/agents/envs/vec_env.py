@@ -13,15 +13,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.envs.env_spec import (
-    ChairGroup,
-    EnvOptions,
-    draw_random_seed,
-    make_env_settings,
-    refuse_reset_options,
-    stack_observations,
-    validate_seed,
-)
+from wcsim.agents.envs import env_spec
 from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.errors import ConfigError, ProtocolError, check_installed
 from wcsim.server.links.base import LinkWaitTimes
@@ -50,7 +42,7 @@ class StreetVecEnv(VecEnv):
         *,
         chairs: int = 2,
         repeat: bool = False,
-        **options: Unpack[EnvOptions],
+        **options: Unpack[env_spec.EnvOptions],
     ) -> None:
         """Describe the environment; the first reset makes the world.
 
@@ -64,16 +56,16 @@ class StreetVecEnv(VecEnv):
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        spec = make_env_settings(town, options, ("town", "chairs", "repeat"))
-        self._chairs = ChairGroup(spec, chairs, options)
-        self._first_seed = validate_seed(options.get("seed"))
+        spec = env_spec.make_env_settings(town, options, ("town", "chairs", "repeat"))
+        self._chairs = env_spec.ChairGroup(spec, chairs, options)
         self._repeat = repeat
         self._waiting = False  # for the result of a step
         self.config = spec.config
         self.render_mode = spec.render_mode
         super().__init__(chairs, spec.observation_space(), spec.action_space())
         if repeat:
-            self.seed(draw_random_seed() if self._first_seed is None else self._first_seed)
+            first_seed = self._chairs.first_seed
+            self.seed(env_spec.draw_random_seed() if first_seed is None else first_seed)
         # SB3 makes metadata without it.
         self.metadata = {**self.metadata, "render_fps": spec.metadata["render_fps"]}
 
@@ -85,21 +77,17 @@ class StreetVecEnv(VecEnv):
         # A step under way must end first.
         if self._waiting:
             self.step_wait()
-        refuse_reset_options(self._options[0])
-        seed = self._seeds[0]
-        if seed is None:
-            firsts = self._chairs.begin_next(self._first_seed)
-        else:
-            firsts = self._chairs.begin(seed)
+        env_spec.refuse_reset_options(self._options[0])
+        firsts = self._chairs.begin(self._seeds[0])
         if not self._repeat:
             self._reset_seeds()
         self._reset_options()
         self.reset_infos = [info for _, info in firsts]
-        return stack_observations([observation for observation, _ in firsts])
+        return env_spec.stack_observations([observation for observation, _ in firsts])
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Make the next reset start a new world with this seed, which gives the chairs' seeds."""
-        self._seeds = [validate_seed(seed)] * self.num_envs
+        self._seeds = [env_spec.validate_seed(seed)] * self.num_envs
         return self._seeds
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
@@ -126,9 +114,9 @@ class StreetVecEnv(VecEnv):
                 observation, self.reset_infos[seat] = first
             observations.append(observation)
             infos.append(info)
-        rewards = np.array([step.reward for step, _ in steps], dtype=np.float32)
+        rewards = np.array([step.reward for step, _ in steps], np.float32)
         return (
-            stack_observations(observations),
+            env_spec.stack_observations(observations),
             rewards,
             np.array([step.done for step, _ in steps]),
             infos,

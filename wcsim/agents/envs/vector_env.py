@@ -13,16 +13,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from wcsim.agents.envs.env_spec import (
-    TASK,
-    TASK_DESCRIPTION,
-    ChairGroup,
-    EnvOptions,
-    make_env_settings,
-    refuse_reset_options,
-    stack_observations,
-    validate_seed,
-)
+from wcsim.agents.envs import env_spec
 from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.config import resolve
 from wcsim.types import F64, Bool
@@ -31,8 +22,8 @@ from wcsim.types import F64, Bool
 class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
     """Several wheelchairs in one town, for Gymnasium."""
 
-    task = TASK
-    task_description = TASK_DESCRIPTION
+    task = env_spec.TASK
+    task_description = env_spec.TASK_DESCRIPTION
 
     closed = True  # until the first reset, also where `__init__` raises or never runs
 
@@ -42,7 +33,7 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
         *,
         num_envs: int = 2,
         max_episode_steps: int | None = None,
-        **options: Unpack[EnvOptions],
+        **options: Unpack[env_spec.EnvOptions],
     ) -> None:
         """Describe the environment; the world is made by the first reset.
 
@@ -58,7 +49,7 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        spec = make_env_settings(town, options, ("town", "num_envs", "max_episode_steps"))
+        spec = env_spec.make_env_settings(town, options, ("town", "num_envs", "max_episode_steps"))
         if max_episode_steps not in (None, -1) and max_episode_steps < spec.config.env.max_steps:
             spec = replace(spec, config=resolve(spec.config, f"env.max_steps={max_episode_steps}"))
         self.num_envs = num_envs
@@ -67,8 +58,7 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
         self.autoreset_mode = AutoresetMode.SAME_STEP
         self.metadata = {**spec.metadata, "autoreset_mode": self.autoreset_mode}
         self._max_episode_steps = spec.config.env.max_steps
-        self._chairs = ChairGroup(spec, num_envs, options)
-        self._first_seed = validate_seed(options.get("seed"))
+        self._chairs = env_spec.ChairGroup(spec, num_envs, options)
         self.single_observation_space = spec.observation_space()
         self.single_action_space = spec.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -84,18 +74,15 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
                 as a reset_mask: chairs share a world, and begin their episodes by themselves.
             TownError: The town cannot be used.
         """
-        refuse_reset_options(options or ())
-        seed = validate_seed(seed)
+        env_spec.refuse_reset_options(options or ())
+        seed = env_spec.validate_seed(seed)
         super().reset(seed=seed)
         self.closed = False
-        if seed is None:
-            firsts = self._chairs.begin_next(self._first_seed)
-        else:
-            firsts = self._chairs.begin(seed)
+        firsts = self._chairs.begin(seed)
         infos: Info = {}
         for seat, (_, info) in enumerate(firsts):
             infos = self._add_info(infos, info, seat)
-        return stack_observations([observation for observation, _ in firsts]), infos
+        return env_spec.stack_observations([observation for observation, _ in firsts]), infos
 
     def step(self, actions: object) -> tuple[EnvObservation, F64, Bool, Bool, Info]:
         """Drive for one tick: actions (N,) or (N, 2), rewards, terminations and truncations (N,).
@@ -122,7 +109,7 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
         rewards = np.array([step.reward for step, _ in steps])
         terminated = np.array([step.terminated for step, _ in steps], np.bool_)
         truncated = np.array([step.truncated for step, _ in steps], np.bool_)
-        return stack_observations(observations), rewards, terminated, truncated, infos
+        return env_spec.stack_observations(observations), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[Any, ...] | None:
         """Every chair's picture (H, W, 3) uint8, in render mode "rgb_array"."""

@@ -30,7 +30,7 @@ from wcsim.agents.envs.env_spec import (
     refuse_reset_options,
     validate_seed,
 )
-from wcsim.agents.envs.episode_view import EnvObservation, SeatEnvAdapter
+from wcsim.agents.envs.episode_view import EnvObservation, Info, SeatEnvAdapter
 from wcsim.core import seeding
 from wcsim.errors import EvictedError, ProtocolError, ReplayMismatchError, WorldRestartedError
 from wcsim.server.links.base import LinkWaitTimes, SeatLink, SeatLinkGroup, open_seat_links
@@ -105,8 +105,8 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         self.action_space = self._spec.action_space()  # type: ignore[assignment]
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[EnvObservation, dict[str, Any]]:
+        self, *, seed: int | None = None, options: Info | None = None
+    ) -> tuple[EnvObservation, Info]:
         """Begin an episode; with a seed, in a new world.
 
         In a joined world the first reset returns the frame that the seat has, whatever the seed, as
@@ -124,9 +124,7 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         super().reset(seed=seed)
         return self._chair.begin(self._first_frame(seed))
 
-    def step(
-        self, action: np.int64 | int | F32
-    ) -> tuple[EnvObservation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64 | int | F32) -> tuple[EnvObservation, float, bool, bool, Info]:
         """Drive for one tick; terminated by a crash only, truncated after `env.max_steps`.
 
         Truncated also by the restart of a shared world: then with the last observation again,

@@ -13,11 +13,10 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, Policy, Warns
-from wcsim.config import parse
+from wcsim.agents.runs.policy_file import parse_saved
 from wcsim.config.run_file import ExportedGuardSection, PolicyGuardSettings
 from wcsim.core import reading
 from wcsim.core.reading import escape, is_file, read_json
-from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import ActionSet
 
 MEANING: Final = "meaning.json"
@@ -100,7 +99,4 @@ def read_guard_rule(folder: Path) -> PolicyGuardSettings | None:
     guard = read_json(path, reading.MEANING).get("guard")
     if not isinstance(guard, dict):
         return None
-    try:
-        return parse(ExportedGuardSection, {"guard": guard}, escape(path)).guard
-    except ConfigError as error:
-        raise PolicyError(str(error)) from None
+    return parse_saved(ExportedGuardSection, {"guard": guard}, escape(path)).guard

@@ -45,7 +45,7 @@ from wcsim.agents.policy_api import (
 from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import PolicyGuardSettings
 from wcsim.core import files
-from wcsim.core.reading import escape, is_file
+from wcsim.core.reading import JsonObject, escape, is_file
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import count_imu_values
@@ -346,7 +346,7 @@ def _loop_source() -> Path:
     )
 
 
-def _meaning_of(graph: Graph, config: RunConfig) -> dict[str, Any]:
+def _meaning_of(graph: Graph, config: RunConfig) -> JsonObject:
     """meaning.json: units, scales, signs, classes, camera, chair and guard, as JSON values."""
     folded = config.env.classes == "cityscapes"
     senses = {
@@ -354,7 +354,7 @@ def _meaning_of(graph: Graph, config: RunConfig) -> dict[str, Any]:
         for key, section in config.sensors.on().items()
         if key in graph.inputs
     }
-    values: dict[str, Any]
+    values: JsonObject
     if isinstance(graph, DangerPolicyGraph):
         values = {"rule": graph.rule.model_dump(), "rule_meaning": _RULE}
     else:

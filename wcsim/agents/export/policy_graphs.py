@@ -63,6 +63,7 @@ _KEY, _TICK, _MOVER, _CLASS, _HIGH, _LOW = range(6)
 _KEY_SIDE: Final = 4096.0
 _EMPTY: Final = -1.0e6  # below any value of a cell
 
+Pair = tuple[Tensor, Tensor]
 Motion = tuple[Tensor, Tensor, Tensor]
 """Speed, turn rate and acceleration, (B,) each."""
 
@@ -92,7 +93,7 @@ class TorchDriveModel:
         out = pushed.clamp(min=0.0) ** self._exponent
         return stick / radius.clamp(min=1e-9) * out
 
-    def targets(self, command: Tensor) -> tuple[Tensor, Tensor]:
+    def targets(self, command: Tensor) -> Pair:
         """The speed (B,) that shaped commands (B, 2) demand, and the turn rate if on the spot.
 
         The part of the drive's law that does not depend on its speed of now, so that `roll_out`
@@ -102,7 +103,7 @@ class TorchDriveModel:
         x, y = command[:, 0], command[:, 1]
         return y * limits[V_MAX] * torch.where(y < 0.0, limits[REVERSE], 1.0), -x * limits[YAW_MAX]
 
-    def follow(self, motion: Motion, targets: tuple[Tensor, Tensor], dt_s: float) -> Motion:
+    def follow(self, motion: Motion, targets: Pair, dt_s: float) -> Motion:
         """The motion `dt_s` later, with what `targets` gives; repeats `joystick.advance_drive`."""
         v, w, a = motion
         later, a = self._follow_speed(v, a, targets[0] - v, dt_s)
@@ -157,9 +158,7 @@ class TorchDriveModel:
         x, y = (way * torch.cos(heading)).cumsum(0), (way * torch.sin(heading)).cumsum(0)
         return places[0] + x, places[1] + y, yaw
 
-    def _follow_speed(
-        self, v: Tensor, a: Tensor, gap: Tensor, dt_s: float
-    ) -> tuple[Tensor, Tensor]:
+    def _follow_speed(self, v: Tensor, a: Tensor, gap: Tensor, dt_s: float) -> Pair:
         """Speed and acceleration `dt_s` later; repeats `joystick.advance_speed`, given the gap."""
         limits, jerk = self._limits, self._limits[JERK]
         limit = torch.where(v * gap < 0.0, limits[DECEL], limits[ACCEL])
@@ -170,7 +169,7 @@ class TorchDriveModel:
         there = (gap.abs() <= move.abs() + STILL_MPS * dt_s) & (a.abs() <= 2.0 * jerk * dt_s + 0.1)
         return v + torch.where(there, gap, move), torch.where(there, 0.0, a)
 
-    def _target_turn(self, targets: tuple[Tensor, Tensor], v: Tensor) -> Tensor:
+    def _target_turn(self, targets: Pair, v: Tensor) -> Tensor:
         """The turn rate that is demanded at a speed; repeats `joystick.compute_yaw_rate_limit`."""
         faster = torch.maximum(targets[0].abs(), v.abs())
         return targets[1] / (1.0 + self._limits[YAW_SLOWDOWN] * faster)
@@ -299,7 +298,7 @@ class DangerPolicyGraph(nn.Module):
 
     def _observe_motion(
         self, imu: Tensor, odometry: Tensor, shaped: Tensor, motion: Tensor, waiting: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    ) -> Pair:
         """Repeats `EgoMotionEstimator.observe`: computes both of its branches, and selects one."""
         started = motion[:, _STARTED] > 0.5
         measured = torch.cat(
@@ -436,9 +435,7 @@ class DangerPolicyGraph(nn.Module):
         found = self.plane + row * street_map.SIDE + column
         return found.transpose(0, 1).reshape(1, len(self.commands), -1).to(torch.int64)
 
-    def _choose(
-        self, danger: Tensor, joystick: Tensor, last: Tensor, recent: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def _choose(self, danger: Tensor, joystick: Tensor, last: Tensor, recent: Tensor) -> Pair:
         """Repeats `policy._choose`, `_within` and `_next_recent`.
 
         A graph has no early return, so the branches of the rule become values (1, A), whose highest
@@ -552,7 +549,7 @@ def _next_alarm(before: Tensor, danger: Tensor, warn: float) -> Tensor:
     return torch.cat([level, on.to(level.dtype)], 1)
 
 
-def _cells_in_O(motion: Tensor, x_B_m: Tensor, y_B_m: Tensor) -> tuple[Tensor, Tensor]:
+def _cells_in_O(motion: Tensor, x_B_m: Tensor, y_B_m: Tensor) -> Pair:
     """The cells of O in which places of B lie."""
     cos, sin = torch.cos(motion[0, 4]), torch.sin(motion[0, 4])
     x = motion[0, 2] + cos * x_B_m - sin * y_B_m

@@ -9,7 +9,7 @@ from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.perception.depth_image import is_camera_mirror_symmetric
-from wcsim.config import LearnConfig, RunConfig
+from wcsim.config import RunConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import action_set
@@ -52,6 +52,9 @@ def build_q_learner(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
             "learn.mirror=false"
         )
     measures = config.sensors.measures().items()
+    # So late that there is something to draw: two steps, or a group of each seat and a step.
+    seats = getattr(env, "num_envs", 1)
+    least = (learn.group_steps + 1) * seats if learn.memory == "groups" else 2
     try:
         return SeqDQN(
             SeqQPolicy,
@@ -62,7 +65,7 @@ def build_q_learner(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
             seed=seed,
             learning_rate=_FadingRate(rate=learn.learning_rate, fade=learn.learning_rate_fade),
             buffer_size=learn.replay_frames,
-            learning_starts=_learning_starts(learn, getattr(env, "num_envs", 1)),
+            learning_starts=max(learn.learning_starts, least),
             train_freq=learn.train_every,
             max_grad_norm=LARGEST_GRADIENT,
             replay_buffer_kwargs={"settings": learn, "seed": seed},
@@ -115,12 +118,6 @@ def _check_memory(config: RunConfig) -> None:
 def _is_stateful(config: RunConfig) -> bool:
     """Whether the network carries a state from tick to tick, in the place of a window."""
     return config.learn.memory == "groups" and registry.is_recurrent_network(config.learn.network)
-
-
-def _learning_starts(learn: LearnConfig, seats: int) -> int:
-    """So late that there is something to draw: two steps, or a group of each seat and a step."""
-    least = (learn.group_steps + 1) * seats if learn.memory == "groups" else 2
-    return max(learn.learning_starts, least)
 
 
 def _net_spec(config: RunConfig) -> NetSpec:

@@ -6,7 +6,7 @@ resumed run starts a new episode and with it a new exploration offset. All else 
 holds is restored exactly.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +19,7 @@ from wcsim.agents.learning.replay.frame_store import ZSTD_LEVEL
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.runs.checkpoint import (
     STATE,
+    Alive,
     Arrays,
     Restore,
     find_newest_checkpoint_arrays,
@@ -28,7 +29,7 @@ from wcsim.agents.runs.checkpoint import (
 from wcsim.agents.runs.weights import validate_tensors
 from wcsim.config import parse
 from wcsim.config.run_file import QTrainingCheckpoint, QTrainingProgress
-from wcsim.core.reading import decompress_zstd
+from wcsim.core.reading import JsonObject, decompress_zstd
 from wcsim.errors import PolicyError
 from wcsim.types import I64
 
@@ -43,7 +44,7 @@ def save_checkpoint(
     folder: Path,
     model: SeqDQN,
     extra: Mapping[str, int | bool],
-    alive: Callable[[], object] = lambda: None,
+    alive: Alive = lambda: None,
     *,
     replay: bool = True,
 ) -> Path:
@@ -71,16 +72,14 @@ def save_checkpoint(
     )
 
 
-def make_checkpoint_restorer(
-    model: SeqDQN, alive: Callable[[], object] = lambda: None
-) -> Restore[QTrainingProgress]:
+def make_checkpoint_restorer(model: SeqDQN, alive: Alive) -> Restore[QTrainingProgress]:
     """The function that brings a fresh model, of the same configuration, to a checkpoint.
 
     What fails on the way leaves a learner that has to be restored from another one. `alive` is
     called now and then.
     """
 
-    def restore(step: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> QTrainingProgress:
+    def restore(step: int, state: JsonObject, arrays: dict[str, Arrays]) -> QTrainingProgress:
         memory, optimizer = model.replay_buffer, model.policy.optimizer
         # 1. Counters and the memory are checked before the learner is touched.
         file = parse(QTrainingCheckpoint, state, STATE)
@@ -110,7 +109,7 @@ def make_checkpoint_restorer(
     return restore
 
 
-def _generator_state(rng: np.random.Generator) -> dict[str, Any]:
+def _generator_state(rng: np.random.Generator) -> JsonObject:
     """The state of a Philox generator as plain values."""
     state = dict(rng.bit_generator.state)
     del state["bit_generator"]
@@ -121,7 +120,7 @@ def _generator_state(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def _restored_generator(state: dict[str, Any]) -> np.random.Generator:
+def _restored_generator(state: JsonObject) -> np.random.Generator:
     """The generator that `_generator_state` described."""
     bits = np.random.Philox()
     counter, key, buffer = (
@@ -149,7 +148,7 @@ def _model_arrays(model: SeqDQN) -> Arrays:
             arrays[f"{prefix}/{key}"] = value.detach().cpu().numpy()
     for index, slots in model.policy.optimizer.state_dict()["state"].items():
         for key, value in slots.items():
-            arrays[f"optimizer/{index}/{key}"] = np.asarray(torch.as_tensor(value).cpu().numpy())
+            arrays[f"optimizer/{index}/{key}"] = torch.as_tensor(value).cpu().numpy()
     return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
 
 
@@ -193,7 +192,7 @@ def _per_step(replay: FrameReplay) -> tuple[str, ...]:
     return (*_PER_STEP, *_OF_ADVICE) if replay.advised else _PER_STEP
 
 
-def _replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
+def _replay_arrays(replay: FrameReplay, alive: Alive = lambda: None) -> Arrays:
     """Everything in the memory, oldest step first.
 
     Images are compressed, which takes minutes for a large one; `alive` is called now and then.
@@ -212,25 +211,25 @@ def _replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: No
     arrays: Arrays = {name: getattr(replay, name)[rows] for name in _per_step(replay)}
     groups = replay.groups
     if groups is not None:
-        states = np.array(list(groups.states.values()), dtype=np.float32)
-        arrays["state_at"] = np.array(list(groups.states), dtype=np.int64).reshape(-1, 2)
+        states = np.array(list(groups.states.values()), np.float32)
+        arrays["state_at"] = np.array(list(groups.states), np.int64).reshape(-1, 2)
         arrays["states"] = states.reshape(len(groups.states), groups.state_size)
-    arrays["total"] = np.array([replay.total, size], dtype=np.int64)
-    arrays["frames"] = np.frombuffer(b"".join(blobs), dtype=np.uint8)
-    arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], dtype=np.int64)
+    arrays["total"] = np.array([replay.total, size], np.int64)
+    arrays["frames"] = np.frombuffer(b"".join(blobs), np.uint8)
+    arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], np.int64)
     # 3. Observations after ends of chains.
-    empty_image = np.zeros((0, replay.layout.image_bytes), dtype=np.uint8)
-    empty_vector = np.zeros((0, replay.layout.vector_size), dtype=np.float32)
+    empty_image = np.zeros((0, replay.layout.image_bytes), np.uint8)
+    empty_vector = np.zeros((0, replay.layout.vector_size), np.float32)
     ends = sorted(replay.after_end)
     after = [replay.observation_after_end(*key) for key in ends]
-    arrays["end_at"] = np.array(ends, dtype=np.int64).reshape(-1, 2)
+    arrays["end_at"] = np.array(ends, np.int64).reshape(-1, 2)
     arrays["end_images"] = np.stack([image for image, _ in after]) if ends else empty_image
     arrays["end_vectors"] = np.stack([vector for _, vector in after]) if ends else empty_vector
     # 4. Windows that do not follow from the frames, and the observations that come next.
-    arrays["whole_at"] = np.array(_whole_windows(replay), dtype=np.int64).reshape(-1, 2)
+    arrays["whole_at"] = np.array(_whole_windows(replay), np.int64).reshape(-1, 2)
     arrays["whole_images"] = replay.windows.read(*arrays["whole_at"].T)
     arrays["next_images"], arrays["next_vectors"] = replay.expected or (empty_image, empty_vector)
-    return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
+    return arrays
 
 
 def _whole_windows(replay: FrameReplay) -> list[tuple[int, int]]:
@@ -271,9 +270,7 @@ def _check_fit(replay: FrameReplay, arrays: Arrays) -> None:
         raise ValueError("replay: its frames have other lengths than it says")
 
 
-def _restore_replay(
-    replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None
-) -> None:
+def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Alive = lambda: None) -> None:
     """Put the arrays of `_replay_arrays` into a memory of the same size that they fit.
 
     A resumed run starts a new episode; its first step differs from the expected one, which ends
@@ -314,9 +311,7 @@ def _restore_replay(
         replay.expected = (arrays["next_images"], arrays["next_vectors"])
 
 
-def _restore_frames(
-    replay: FrameReplay, arrays: Arrays, index: I64, alive: Callable[[], object]
-) -> None:
+def _restore_frames(replay: FrameReplay, arrays: Arrays, index: I64, alive: Alive) -> None:
     data, lengths = arrays["frames"].tobytes(), arrays["blob_bytes"]
     stops = np.cumsum(lengths)
     blobs = [data[stop - length : stop] for stop, length in zip(stops, lengths, strict=True)]

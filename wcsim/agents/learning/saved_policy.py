@@ -84,7 +84,7 @@ def load_policy(path: Path, network: str | None = None) -> _NetPolicy:
 
 
 def load_policy_for_config(
-    folder: Path, name: str, config: RunConfig, network: str | None = None
+    folder: Path, name: str, config: RunConfig, network: str | None
 ) -> _NetPolicy:
     """A policy for one chair.
 
@@ -198,7 +198,7 @@ class _NetPolicy:
                 found, after = self.net.step(batch, self._state)
             else:
                 found, after = self.net(batch), self._state
-            values = np.asarray(found[0].numpy(), dtype=np.float32)
+            values = np.asarray(found[0].numpy(), np.float32)
         if not np.isfinite(values).all():
             raise PolicyError(
                 f"policy {escape(self.name)!r} returns values that are not finite; train it again"

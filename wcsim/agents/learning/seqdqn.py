@@ -10,7 +10,7 @@ in a row (see `agents/learning/replay/groups.py`); any other one learns from ste
 each with its window.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -21,11 +21,12 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples, GymEnv
 from stable_baselines3.common.utils import polyak_update
+from torch import Tensor
 from torch.nn import functional
 
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.replay.buffer import FrameReplay
-from wcsim.agents.learning.replay.groups import SequenceBatch
+from wcsim.agents.learning.replay.groups import SequenceBatch, Tensors
 from wcsim.agents.networks.q_network import Array, QNet, Seen, SeqQPolicy, States
 from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY
 from wcsim.config import LearnConfig
@@ -35,7 +36,6 @@ from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import count_imu_values
 from wcsim.types import F32, F64, I64, Bool
 
-Tensors = dict[str, torch.Tensor]
 Signs = tuple[tuple[str, tuple[float, ...]], ...]  # of each number of each further sensor, by name
 
 EXPLORED_SIGMA: Final = 0.5  # spread of local exploration, in stick units
@@ -96,14 +96,14 @@ class SeqDQN(DQN):
         **dqn: Any,
     ) -> None:
         # SB3's `save` writes all attributes under their names, those with an underscore too.
-        self.settings = settings if settings is not None else LearnConfig()
+        self.settings = settings or LearnConfig()
         self.actions = actions
         self.mirror_signs = mirror_signs
         self.plan = PhasePlan(self.settings)
         self.rng = seeding.make_rng(0 if seed is None else seed, "agent", "explore")
         self._offsets: F64 = np.zeros((0, 2))  # (N, 2) explored by each seat
         # (N,) steps for which they are still held
-        self._held: I64 = np.zeros(0, dtype=np.int64)
+        self._held: I64 = np.zeros(0, np.int64)
         # What the network carries from step to step, of every seat: before the next step (None
         # where all episodes start) and after it.
         self._carried: States | None = None
@@ -148,7 +148,7 @@ class SeqDQN(DQN):
         if deterministic or not isinstance(observation, dict):
             return actions, state
         self._greedy = np.atleast_1d(actions)
-        sticks = np.asarray(observation[JOYSTICK_KEY], dtype=np.float64).reshape(-1, 2)
+        sticks = np.asarray(observation[JOYSTICK_KEY], np.float64).reshape(-1, 2)
         explores = self._draw_explorers(len(sticks))
         if self.settings.exploration == "uniform":
             drawn = self.rng.integers(0, len(self.action_points), len(sticks))
@@ -164,7 +164,7 @@ class SeqDQN(DQN):
         """
         hold = self.settings.epsilon_hold
         if len(self._held) != seats:
-            self._held = np.zeros(seats, dtype=np.int64)
+            self._held = np.zeros(seats, np.int64)
             self._offsets = np.zeros((seats, 2))
         rate = self.exploration_rate / (hold - (hold - 1) * self.exploration_rate)
         starts = (self._held == 0) & (self.rng.random(seats) < rate)
@@ -207,7 +207,7 @@ class SeqDQN(DQN):
             groups.next_states = self._carried[0]
         super()._store_transition(replay_buffer, *step)
         if self._next is not None:
-            dones = np.asarray(step[3], dtype=bool)[:, None]
+            dones = np.asarray(step[3], bool)[:, None]
             self._carried = tuple(
                 np.where(dones, 0.0, part).astype(part.dtype) for part in self._next
             )
@@ -283,7 +283,7 @@ class SeqDQN(DQN):
         self.logger.record("train/margin_weight", margin)
         self.logger.record("train/aid_weight", aid)
 
-    def _draw_batch_loss(self, batch_size: int, margin: float) -> torch.Tensor:
+    def _draw_batch_loss(self, batch_size: int, margin: float) -> Tensor:
         """Draw a batch from memory; its loss.
 
         Groups of steps for a network with a state, else single steps.
@@ -302,7 +302,7 @@ class SeqDQN(DQN):
             drawn = _mirror_batch(drawn, self._mirror_map(), self.mirror_signs)
         return self.loss(drawn, margin)
 
-    def loss(self, batch: DictReplayBufferSamples, margin: float) -> torch.Tensor:
+    def loss(self, batch: DictReplayBufferSamples, margin: float) -> Tensor:
         """Huber loss of the n-step double-Q error, plus that towards the user's action."""
         target = self.targets(batch)
         values = self.q_net(batch.observations)
@@ -314,7 +314,7 @@ class SeqDQN(DQN):
         return loss
 
     @torch.no_grad()
-    def targets(self, batch: DictReplayBufferSamples) -> torch.Tensor:
+    def targets(self, batch: DictReplayBufferSamples) -> Tensor:
         """Scaled n-step returns plus the discounted value after them, (B, 1)."""
         after = self.q_net_target(batch.next_observations)
         chooser = self.q_net(batch.next_observations) if self.settings.double_q else after
@@ -324,9 +324,7 @@ class SeqDQN(DQN):
             self.settings.reward_scale * batch.rewards + (1.0 - batch.dones) * discounts * value
         )
 
-    def supervised_loss(
-        self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]
-    ) -> torch.Tensor:
+    def supervised_loss(self, values: Tensor, observations: Tensors) -> Tensor:
         """The loss towards the user's action, for weight 1.
 
         A margin, or the cross-entropy of values in unscaled reward.
@@ -336,9 +334,7 @@ class SeqDQN(DQN):
         label = self.q_net.distances(observations[JOYSTICK_KEY]).argmin(dim=1)
         return functional.cross_entropy(values / self.settings.reward_scale, label)
 
-    def margin_loss(
-        self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]
-    ) -> torch.Tensor:
+    def margin_loss(self, values: Tensor, observations: Tensors) -> Tensor:
         """How far the user's action is from beating every other by a margin.
 
         The margin grows with the joystick distance.
@@ -349,7 +345,7 @@ class SeqDQN(DQN):
         margin = (self.settings.reward_scale * gap).scatter(1, label, 0.0)
         return ((values + margin).max(dim=1).values - values.gather(1, label)[:, 0]).mean()
 
-    def draw_advice_loss(self) -> torch.Tensor:
+    def draw_advice_loss(self) -> Tensor:
         """Draw steps whose actions the oracle has judged; their loss, 0 while there is none."""
         advice = self.replay_buffer.sample_advice(AID_BATCH, AID_SHARE, AID_AHEAD)
         if advice is None:
@@ -369,10 +365,10 @@ class SeqDQN(DQN):
         """Draw whether the next batch is mirrored; without `mirror` nothing is drawn."""
         return self.settings.mirror and bool(self.rng.random() < 0.5)
 
-    def _mirror_map(self) -> torch.Tensor:
+    def _mirror_map(self) -> Tensor:
         return torch.as_tensor(self.action_points.mirror, device=self.device)
 
-    def _update(self, loss: torch.Tensor) -> None:
+    def _update(self, loss: Tensor) -> None:
         """Step along the gradient. Raises PolicyError when too many in a row were not finite."""
         self.last_loss = float(loss.detach())
         finite = np.isfinite(self.last_loss)
@@ -408,8 +404,8 @@ def _sequence_loss(
     batch: SequenceBatch,
     reward_scale: float,
     double_q: bool,
-    supervised: Callable[[torch.Tensor, dict[str, torch.Tensor]], torch.Tensor] | None,
-) -> tuple[torch.Tensor, float]:
+    supervised: Callable[[Tensor, Tensors], Tensor] | None,
+) -> tuple[Tensor, float]:
     """Huber loss over the steps of the groups, and the largest value that was met.
 
     Args:
@@ -424,22 +420,23 @@ def _sequence_loss(
         target = _group_values(nets[1], batch)
     goals = _group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
     length = batch.live.shape[1]
-    values = online[:, :length][batch.live[:, : online.shape[1]]]  # (N, A)
+    live = batch.live[:, : online.shape[1]]
+    values = online[:, :length][live]  # (N, A)
     chosen = values.gather(1, batch.actions[batch.live][:, None])[:, 0]
     loss = functional.smooth_l1_loss(chosen, goals)
     if supervised is not None:
-        sticks = batch.observations[JOYSTICK_KEY][:, :length][batch.live[:, : online.shape[1]]]
+        sticks = batch.observations[JOYSTICK_KEY][:, :length][live]
         loss = loss + supervised(values, {JOYSTICK_KEY: sticks})
     return loss, float(values.detach().abs().max())
 
 
-def _group_values(net: QNet, batch: SequenceBatch) -> torch.Tensor:
+def _group_values(net: QNet, batch: SequenceBatch) -> Tensor:
     """Values (K, P, A) of all observations of the groups."""
     return net.unroll(batch.observations, _burned_in(net, batch))[0]
 
 
 @torch.no_grad()
-def _burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
+def _burned_in(net: QNet, batch: SequenceBatch) -> Tensor:
     """The network's state (K, S) where the groups begin."""
     states = batch.states.clone()
     for rows, observations in batch.burn_in:
@@ -449,12 +446,12 @@ def _burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
 
 @torch.no_grad()
 def _group_targets(
-    online: torch.Tensor,
-    target: torch.Tensor,
+    online: Tensor,
+    target: Tensor,
     batch: SequenceBatch,
     reward_scale: float,
     double_q: bool,
-) -> torch.Tensor:
+) -> Tensor:
     """Scaled n-step returns plus the discounted value after them, (K, L).
 
     Both networks' values are (K, P, A).
@@ -484,8 +481,8 @@ def _draw_other_sticks(
 
 
 def _aid_loss(
-    values: torch.Tensor, distances: torch.Tensor, safe: torch.Tensor, scale: float, unsafe: float
-) -> torch.Tensor:
+    values: Tensor, distances: Tensor, safe: Tensor, scale: float, unsafe: float
+) -> Tensor:
     """How far the safe action nearest to the user's joystick is from winning by a margin.
 
     The strongest rival counts as in DQfD; every unsafe action counts too, so that one step teaches
@@ -511,7 +508,7 @@ def _aid_loss(
     return ((behind.max(dim=1).values + dense) * safe.any(dim=1)).mean()
 
 
-def _teacher_actions(distances: torch.Tensor, safe: torch.Tensor) -> torch.Tensor:
+def _teacher_actions(distances: Tensor, safe: Tensor) -> Tensor:
     """The safe action nearest to the user's joystick; (B, A) and (B, A) -> (B,)."""
     return distances.masked_fill(~safe, torch.inf).argmin(dim=1)
 
@@ -520,7 +517,7 @@ def _teacher_actions(distances: torch.Tensor, safe: torch.Tensor) -> torch.Tenso
 
 
 def _mirror_batch(
-    batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()
+    batch: DictReplayBufferSamples, actions: Tensor, signs: Signs = ()
 ) -> DictReplayBufferSamples:
     """A batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
     return batch._replace(
@@ -530,7 +527,7 @@ def _mirror_batch(
     )
 
 
-def _mirrored(observations: Tensors, actions: torch.Tensor, further: Signs) -> Tensors:
+def _mirrored(observations: Tensors, actions: Tensor, further: Signs) -> Tensors:
     out = dict(observations)
     for key, value in observations.items():
         # Pictures alone: the others are rows of numbers.

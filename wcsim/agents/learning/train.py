@@ -30,7 +30,7 @@ from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.device import temporary_torch_settings, validate_device_name
-from wcsim.agents.runs.checkpoint import restore_newest_checkpoint
+from wcsim.agents.runs.checkpoint import Alive, Log, restore_newest_checkpoint
 from wcsim.agents.runs.metrics import (
     STEP_COLUMNS,
     MetricsFile,
@@ -63,12 +63,12 @@ _now_s = time.monotonic
 def train_dqn(
     run: ResolvedRun,
     make_env: MakeEnv,
-    progress: Progress | None = None,
+    progress: Progress = lambda now: None,
     *,
     progress_every: int = PROGRESS_EVERY,
     callbacks: Sequence[BaseCallback] = (),
-    alive: Callable[[], object] = lambda: None,
-    log: Callable[[str], object] = lambda text: None,
+    alive: Alive = lambda: None,
+    log: Log = lambda text: None,
     wait_no_more: Callable[[], object] | None = None,
 ) -> Path:
     """Learn both phases and leave a run folder.
@@ -135,8 +135,8 @@ def train_dqn(
 def _restore_newest(
     folder: RunFolder,
     model: SeqDQN,
-    log: Callable[[str], object],
-    alive: Callable[[], object],
+    log: Log,
+    alive: Alive,
 ) -> QTrainingProgress | None:
     """Bring a learner to its newest sound checkpoint; None, with an event, where a run has none."""
     found = restore_newest_checkpoint(folder, make_checkpoint_restorer(model, alive), log)
@@ -173,9 +173,9 @@ class _Session(SeqDqnCallback):
         before: QTrainingProgress | None,
         resume: bool,
         stop: StopSignalHandler,
-        progress: Progress | None,
+        progress: Progress,
         progress_every: int,
-        alive: Callable[[], object],
+        alive: Alive,
     ) -> None:
         super().__init__()
         self.model = model
@@ -349,8 +349,6 @@ class _Session(SeqDqnCallback):
         self._folder.event(status, step=step)
 
     def _report_progress(self) -> None:
-        if self._progress is None:
-            return
         self._progress(
             TrainProgress(
                 step=self.learner.num_timesteps,

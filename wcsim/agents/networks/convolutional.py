@@ -17,9 +17,10 @@ random numbers each gets.
 from typing import ClassVar, Final
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 _Shape = tuple[int, int, int, int]  # T, C, H, W
+_Unrolled = tuple[Tensor, Tensor]  # what comes of images in a row, and the state after them
 
 _PATCH_PX: Final = 4
 _PATCH_CHANNELS: Final = 24
@@ -48,7 +49,7 @@ class PatchNet(nn.Module):
             flat = self.cnn(torch.zeros(1, *image_shape)).shape[1]
         self.dense = nn.Sequential(nn.Linear(flat + vector_size, _FEATURES), nn.ReLU())
 
-    def forward(self, image: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
+    def forward(self, image: Tensor, vector: Tensor) -> Tensor:
         """Features (B, 128) of image (B, C, H, W) and vector (B, V)."""
         return torch.as_tensor(self.dense(torch.cat([self.cnn(image), vector], dim=1)))
 
@@ -64,14 +65,12 @@ class _RecurrentNet(nn.Module):
 
     state_size: int
 
-    def forward(self, image: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
+    def forward(self, image: Tensor, vector: Tensor) -> Tensor:
         """Features (B, 128 + V) of image (B, T, C, H, W) and vector (B, V)."""
         outputs, _ = self._run(image, image.new_zeros(len(image), self.state_size))
         return torch.cat([outputs[:, -1], vector], dim=1)
 
-    def unroll(
-        self, image: torch.Tensor, vector: torch.Tensor, state: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def unroll(self, image: Tensor, vector: Tensor, state: Tensor) -> _Unrolled:
         """Features (B, T, 128 + V) of images and vectors in a row, and the state after them.
 
         Args:
@@ -82,7 +81,7 @@ class _RecurrentNet(nn.Module):
         outputs, after = self._run(image, state)
         return torch.cat([outputs, vector], dim=2), after
 
-    def _run(self, image: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _run(self, image: Tensor, state: Tensor) -> _Unrolled:
         """Outputs of the LSTM after each image, (B, T, 128), and the flat state after the last."""
         raise NotImplementedError
 
@@ -96,14 +95,13 @@ class Figure6Net(_RecurrentNet):
 
     def __init__(self, image_shape: _Shape, vector_size: int) -> None:
         super().__init__()
-        del vector_size
         # The LSTM is made before the eye, and registered after it.
         memory = _lstm()
         self.eye = PatchNet(image_shape[1:], 0)
         self.memory = memory
         self.state_size = 2 * _LSTM_UNITS
 
-    def _run(self, image: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _run(self, image: Tensor, state: Tensor) -> _Unrolled:
         seen = self.eye(image.flatten(0, 1), image.new_zeros(image.shape[0] * image.shape[1], 0))
         return _run_lstm(self.memory, torch.unflatten(seen, 0, image.shape[:2]), state)
 
@@ -116,7 +114,6 @@ class ConvLstmNet(_RecurrentNet):
 
     def __init__(self, image_shape: _Shape, vector_size: int) -> None:
         super().__init__()
-        del vector_size
         self.eye, channels = _eye(image_shape)
         self.gates = nn.Conv2d(channels + _CELL_CHANNELS, 4 * _CELL_CHANNELS, 3, padding=1)
         self.small = _MapToFeatures(_CELL_CHANNELS, self.eye, image_shape, 0)
@@ -131,7 +128,7 @@ class ConvLstmNet(_RecurrentNet):
             bias[_CELL_CHANNELS : 2 * _CELL_CHANNELS] = _FORGET_BIAS
             self.gates.bias = nn.Parameter(bias)
 
-    def _run(self, image: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _run(self, image: Tensor, state: Tensor) -> _Unrolled:
         # 1. All images at once, each to a map.
         seen = self.eye(image.flatten(0, 1)).unflatten(0, image.shape[:2])
         # 2. The ConvLSTM from tick to tick.
@@ -172,7 +169,7 @@ class Conv3dNet(nn.Module):
         )
         self.voter = _MapToFeatures(_CONV3D_CHANNELS, self.eye, image_shape, vector_size)
 
-    def forward(self, image: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
+    def forward(self, image: Tensor, vector: Tensor) -> Tensor:
         """Features (B, 128) of image (B, T, C, H, W) and vector (B, V)."""
         seen = self.eye(image.flatten(0, 1)).unflatten(0, image.shape[:2])
         return torch.as_tensor(self.voter(self.deep(seen.movedim(1, 2))[:, :, 0], vector))
@@ -190,7 +187,7 @@ class _MapToFeatures(nn.Module):
         self.small = nn.Sequential(nn.Conv2d(channels, 16, 1), nn.ReLU(), nn.Flatten())
         self.dense = nn.Sequential(nn.Linear(16 * cells + vector_size, _FEATURES), nn.ReLU())
 
-    def forward(self, seen: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
+    def forward(self, seen: Tensor, vector: Tensor) -> Tensor:
         return torch.as_tensor(self.dense(torch.cat([self.small(seen), vector], 1)))
 
 
@@ -234,9 +231,7 @@ def _lstm() -> nn.LSTM:
     return memory
 
 
-def _run_lstm(
-    memory: nn.LSTM, seen: torch.Tensor, state: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
+def _run_lstm(memory: nn.LSTM, seen: Tensor, state: Tensor) -> _Unrolled:
     """Outputs (B, T, 128) for `seen` (B, T, 128) in a row, and the flat state (B, S) after them."""
     hidden, cell = (part.contiguous() for part in state[None].chunk(2, dim=2))
     outputs, after = memory(seen, (hidden, cell))

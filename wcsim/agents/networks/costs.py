@@ -9,14 +9,16 @@ from typing import Any, Final
 import numpy as np
 import torch
 from gymnasium import spaces
-from torch import nn
+from torch import Tensor, nn
 
+from wcsim.agents.envs.episode_view import window_observation_space
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import preferred_window_size
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config.run_file import NetSpec
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import make_observation_space
 
 LIMIT_MS: Final = 100.0  # for a decision: a tick of the paper
 # Of it, for the network that makes the classes of a real camera's pictures.
@@ -50,17 +52,9 @@ def measure_network_cost(
     """Measure a network on one core of this machine. Raises PolicyError for an unknown name."""
     # 1. The network, and an observation for it.
     window = preferred_window_size(name)
-    image = spaces.Box(0, 255, (window, height_px, width_px), np.uint8)
-    vectors = {
-        key: spaces.Box(-1.0, 1.0, (size,), np.float32)
-        for key, size in ((IMU_KEY, 5), (JOYSTICK_KEY, 2))
-    }
+    space = window_observation_space(make_observation_space("compact", width_px, height_px), window)
     actions = spaces.Discrete(len(action_set("square81")))
-    net = QNet(
-        spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, **vectors}),
-        actions,
-        NetSpec(network=name),
-    )
+    net = QNet(space, actions, NetSpec(network=name))
     net.set_training_mode(False)
     seen = {
         CLASS_KEY: torch.full((1, window, height_px, width_px), 7, dtype=torch.uint8),
@@ -102,7 +96,7 @@ def _time_calls(call: Callable[[], object], runs: int) -> Times:
     return float(np.median(times_ms)), float(np.percentile(times_ms, 99))
 
 
-def _count_macs(net: nn.Module, seen: dict[str, torch.Tensor]) -> tuple[int, int]:
+def _count_macs(net: nn.Module, seen: dict[str, Tensor]) -> tuple[int, int]:
     """Multiplications of one call, and the bytes of the largest layer's output."""
     macs, largest = 0, 0
 
@@ -139,12 +133,12 @@ class _PositionalNet(nn.Module):
         super().__init__()
         self.net, self.keys = net, tuple(keys)
 
-    def forward(self, *tensors: torch.Tensor) -> torch.Tensor:
+    def forward(self, *tensors: Tensor) -> Tensor:
         """Values of all actions."""
         return torch.as_tensor(self.net(dict(zip(self.keys, tensors, strict=True))))
 
 
-def _time_onnx(net: QNet, seen: dict[str, torch.Tensor], runs: int) -> float | None:
+def _time_onnx(net: QNet, seen: dict[str, Tensor], runs: int) -> float | None:
     """Median of a decision by ONNX Runtime, in ms; None where it cannot run the network."""
     from wcsim.agents.networks.onnx_form import network_to_onnx
 

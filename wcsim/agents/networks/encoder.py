@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from torch import nn
+from torch import Tensor, nn
 
 from wcsim.agents.networks import registry
 from wcsim.agents.policy_api import (
@@ -22,7 +22,8 @@ from wcsim.config.env import Form
 from wcsim.errors import PolicyError
 from wcsim.types import ClassId as C
 
-Tensors = Mapping[str, torch.Tensor]
+Tensors = Mapping[str, Tensor]
+Space = spaces.Space[object]
 Classes = Literal["cityscapes", "wcsim"]
 
 # Cityscapes has more labelIds than wcsim draws (guard rail 14, bridge 15, tunnel 16, caravan 29,
@@ -103,13 +104,11 @@ class ObservationEncoder(BaseFeaturesExtractor):
         planes = torch.cat([table, torch.zeros(1, 256, dtype=torch.bool)]).t()
         self.register_buffer("_planes", planes.to(torch.float32).contiguous(), persistent=False)
 
-    def forward(self, observations: Tensors) -> torch.Tensor:
+    def forward(self, observations: Tensors) -> Tensor:
         """Features (B, F) of a batch of observations."""
         return torch.as_tensor(self.body(self.image(observations), self.vector(observations)))
 
-    def unroll(
-        self, observations: Tensors, state: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def unroll(self, observations: Tensors, state: Tensor) -> tuple[Tensor, Tensor]:
         """Features (B, T, F) of T observations in a row, and the state (B, state_size) after them.
 
         Observations are (B, T, ...) each.
@@ -121,7 +120,7 @@ class ObservationEncoder(BaseFeaturesExtractor):
         features, after = self.body.unroll(image, vector, state)  # type: ignore[operator]
         return torch.as_tensor(features), torch.as_tensor(after)
 
-    def image(self, observations: Tensors) -> torch.Tensor:
+    def image(self, observations: Tensors) -> Tensor:
         """Planes (B, C, H, W) in 0..1; (B, T, C, H, W) for a network that is windowed.
 
         Class planes and log-depth, then colours where the observation has them; or the four planes
@@ -147,12 +146,12 @@ class ObservationEncoder(BaseFeaturesExtractor):
             planes = torch.cat([planes, colours], dim=2)
         return planes if self.windowed else planes[:, 0]
 
-    def vector(self, observations: Tensors) -> torch.Tensor:
+    def vector(self, observations: Tensors) -> Tensor:
         """What `vector_keys_from_space` names side by side, (B, vector_size) float32."""
         return torch.cat([observations[key] for key in self.vector_keys], dim=1).to(torch.float32)
 
 
-def vector_keys_from_space(space: spaces.Space[object]) -> tuple[str, ...]:
+def vector_keys_from_space(space: Space) -> tuple[str, ...]:
     """What a network's vector is made of, in its order.
 
     IMU, joystick, then every further row of numbers by name.
@@ -164,7 +163,7 @@ def vector_keys_from_space(space: spaces.Space[object]) -> tuple[str, ...]:
     return (IMU_KEY, JOYSTICK_KEY, *sorted(rows - {IMU_KEY, JOYSTICK_KEY}))
 
 
-def vector_size_from_space(space: spaces.Space[object], keys: tuple[str, ...] = ()) -> int:
+def vector_size_from_space(space: Space, keys: tuple[str, ...] = ()) -> int:
     """How many numbers the vector has, or those parts of it that `keys` names.
 
     In the paper 7, for IMU and joystick.
@@ -175,7 +174,7 @@ def vector_size_from_space(space: spaces.Space[object], keys: tuple[str, ...] = 
     )
 
 
-def image_size_from_space(space: spaces.Space[object]) -> tuple[int, int]:
+def image_size_from_space(space: Space) -> tuple[int, int]:
     """(H, W) of the observation's images. Raises PolicyError when the space is none of wcsim's."""
     space = _require_own(space)
     dtype = np.float32 if observation_form_from_space(space) == "table3" else np.uint8
@@ -191,12 +190,12 @@ def image_size_from_space(space: spaces.Space[object]) -> tuple[int, int]:
     return height, width
 
 
-def window_size_from_space(space: spaces.Space[object]) -> int:
+def window_size_from_space(space: Space) -> int:
     """How many images the observation holds (`env.window`)."""
     return int(_box(_require_own(space), DEPTH_KEY).shape[0])
 
 
-def observation_form_from_space(space: spaces.Space[object]) -> Form:
+def observation_form_from_space(space: Space) -> Form:
     """Which form of `env.observation` a space is of. Raises PolicyError when it is of none."""
     keys = _require_own(space).spaces
     if CLASS_KEY not in keys:
@@ -204,7 +203,7 @@ def observation_form_from_space(space: spaces.Space[object]) -> Form:
     return "compact_rgb" if RGB_KEY in keys else "compact"
 
 
-def _require_own(space: spaces.Space[object]) -> spaces.Dict:
+def _require_own(space: Space) -> spaces.Dict:
     """The space, when it is one of wcsim's. Raises PolicyError."""
     if isinstance(space, spaces.Dict):
         keys = set(space.spaces)
@@ -222,7 +221,7 @@ def _box(space: spaces.Dict, key: str) -> spaces.Box:
     return box
 
 
-def _group_table(classes: Classes) -> torch.Tensor:
+def _group_table(classes: Classes) -> Tensor:
     """One row per group: (G, 256) bool, true where a class id belongs to the group."""
     groups = GROUPS + (WCSIM_GROUPS if classes == "wcsim" else ())
     table = torch.zeros(len(groups), 256, dtype=torch.bool)
@@ -231,7 +230,7 @@ def _group_table(classes: Classes) -> torch.Tensor:
     return table
 
 
-def _require_stateful(space: spaces.Space[object], network: str) -> None:
+def _require_stateful(space: Space, network: str) -> None:
     """Raise PolicyError for a network, or observations, with which no state can be carried."""
     if not registry.is_recurrent_network(network):
         raise PolicyError(
@@ -254,8 +253,8 @@ def _features_dim(name: str, body: nn.Module, shape: tuple[int, ...], vector_siz
         raise PolicyError(
             f"network {name!r} failed on image (2, {', '.join(map(str, shape))}): {error}"
         ) from error
-    if not isinstance(out, torch.Tensor) or out.ndim != 2 or len(out) != 2:
-        returned = tuple(out.shape) if isinstance(out, torch.Tensor) else type(out).__name__
+    if not isinstance(out, Tensor) or out.ndim != 2 or len(out) != 2:
+        returned = tuple(out.shape) if isinstance(out, Tensor) else type(out).__name__
         raise PolicyError(
             f"network {name!r} returned {returned} for a batch of 2; expected a tensor "
             "(2, features)"

@@ -8,7 +8,7 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.dqn.policies import DQNPolicy
-from torch import nn
+from torch import Tensor, nn
 
 from wcsim.agents.networks.encoder import ObservationEncoder, Tensors, vector_size_from_space
 from wcsim.agents.policy_api import JOYSTICK_KEY
@@ -50,7 +50,7 @@ class QNet(BasePolicy):
         points = torch.as_tensor(action_set(spec.actions).points, dtype=torch.float32)
         self.register_buffer("_points", points, persistent=False)  # (A, 2)
 
-    def forward(self, observations: PyTorchObs) -> torch.Tensor:
+    def forward(self, observations: PyTorchObs) -> Tensor:
         """Values (B, A), in units of the scaled reward."""
         if not isinstance(observations, dict):
             raise TypeError(
@@ -58,20 +58,18 @@ class QNet(BasePolicy):
             )
         return self._values(self.encoder(observations), observations)
 
-    def begin(self, count: int) -> torch.Tensor:
+    def begin(self, count: int) -> Tensor:
         """The state (B, S) at the start of so many episodes; S is 0 without a state."""
         return torch.zeros(count, self.encoder.state_size, device=self.device)
 
-    def step(self, observations: Tensors, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def step(self, observations: Tensors, state: Tensor) -> tuple[Tensor, Tensor]:
         """Values (B, A) of one tick, and the state (B, S) after it."""
         values, after = self.unroll(
             {key: value[:, None] for key, value in observations.items()}, state
         )
         return values[:, 0], after
 
-    def unroll(
-        self, observations: Tensors, state: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def unroll(self, observations: Tensors, state: Tensor) -> tuple[Tensor, Tensor]:
         """Values (B, T, A) of T ticks in a row, and the state (B, S) after them.
 
         Observations are (B, T, ...), the state (B, S) is that before them.
@@ -83,7 +81,7 @@ class QNet(BasePolicy):
         features, after = self.encoder.unroll(observations, state)
         return torch.unflatten(self._values(features.flatten(0, 1), flat), 0, shape), after
 
-    def _values(self, seen: torch.Tensor, observations: Tensors) -> torch.Tensor:
+    def _values(self, seen: Tensor, observations: Tensors) -> Tensor:
         hidden = self.trunk(torch.cat([seen, self.encoder.vector(observations)], dim=1))
         q = self.advantage(hidden)
         if self.value is not None:
@@ -92,12 +90,12 @@ class QNet(BasePolicy):
             q = q + self.follow_reward(observations[JOYSTICK_KEY])
         return torch.as_tensor(q)
 
-    def distances(self, joysticks_xy: torch.Tensor) -> torch.Tensor:
+    def distances(self, joysticks_xy: Tensor) -> Tensor:
         """Joystick distance of every action, (B, 2) -> (B, A)."""
         gap = joysticks_xy[:, None, :] - torch.as_tensor(self._points)[None]
         return (gap * gap).sum(dim=-1).sqrt()
 
-    def follow_reward(self, joysticks_xy: torch.Tensor) -> torch.Tensor:
+    def follow_reward(self, joysticks_xy: Tensor) -> Tensor:
         """Base reward or joystick penalty of every action, scaled, (B, 2) -> (B, A)."""
         prior = self.spec.prior
         distance = self.distances(joysticks_xy)
@@ -109,7 +107,7 @@ class QNet(BasePolicy):
         )
         return prior.reward_scale * reward
 
-    def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> torch.Tensor:
+    def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> Tensor:
         return torch.as_tensor(self(observation)).argmax(dim=1)
 
 

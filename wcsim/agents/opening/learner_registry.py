@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import (
@@ -20,7 +20,7 @@ from wcsim.agents.runs.policy_file import (
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerPolicyFile, QPolicyFile
-from wcsim.core.reading import pluralize
+from wcsim.core.reading import JsonObject, pluralize
 from wcsim.errors import PolicyError
 from wcsim.server.workers.machines import WorkerPoolSettings
 from wcsim.supervisor.rewards import make_reward_term
@@ -91,7 +91,7 @@ class Learner(Protocol):
     def read_policy(self, folder: Path) -> QPolicyFile | DangerPolicyFile:
         """Read and check `policy.json` of its policies. Raises PolicyError."""
 
-    def policy_settings(self, folder: Path) -> dict[str, Any]:
+    def policy_settings(self, folder: Path) -> JsonObject:
         """What a policy folder fixes of a configuration, such as its camera. Raises PolicyError."""
 
     def load_policy(
@@ -183,7 +183,7 @@ class _QLearning(Learner):
         """See `Learner`."""
         return read_value_policy_file(folder)
 
-    def policy_settings(self, folder: Path) -> dict[str, Any]:
+    def policy_settings(self, folder: Path) -> JsonObject:
         """See `Learner`."""
         file = read_value_policy_file(folder)
         env = {
@@ -271,7 +271,7 @@ class _DangerRounds(Learner):
         """See `Learner`."""
         return read_danger_policy_file(folder)
 
-    def policy_settings(self, folder: Path) -> dict[str, Any]:
+    def policy_settings(self, folder: Path) -> JsonObject:
         """See `Learner`."""
         file = read_danger_policy_file(folder)
         cameras = (file.camera, *file.more_cameras)
@@ -319,9 +319,7 @@ class _DangerRounds(Learner):
         from wcsim.agents.danger.policy import DangerPolicy, load_net
         from wcsim.agents.export.policy_graphs import DangerPolicyGraph
 
-        net, rule = load_net(folder)
-        if level is not None:
-            rule = rule.model_copy(update={"threshold": level})
+        net, rule = load_net(folder, level)
         return DangerPolicyGraph(net, config, rule), DangerPolicy("own", net, config, rule)
 
 

@@ -54,7 +54,7 @@ _PACE: Final = ("draw_threads", "epoch_ticks")
 def open_named_policy(
     name: str, config: RunConfig, seed: int, network: str | None = None
 ) -> Policy:
-    """The policy of that name for one chair.
+    """The policy of that name for one chair; a network sets PyTorch to one thread.
 
     Args:
         name: The policy's name.
@@ -95,7 +95,14 @@ def open_named_policy(
     if law:
         require_danger_policy_fits(folder, name, config)
         return ExportedDangerPolicy(folder, name, law, config)
-    return _network(name, config, network)
+    # Not at the top: checks of names must not load it.
+    import torch
+
+    # One picture is too little for two threads: on busy cores they wait for one another, fifty
+    # times as long as the work takes.
+    torch.set_num_threads(1)
+    learner = learner_from_policy(folder)
+    return learner.load_policy(folder, name, config, named.level, network)
 
 
 def _law_without_torch(folder: Path, config: RunConfig) -> str:
@@ -120,23 +127,6 @@ def _own_policy(name: str, config: RunConfig) -> Policy:
             "reset() and act(observation), see docs/suites.md"
         )
     return policy
-
-
-def _network(name: str, config: RunConfig, network: str | None) -> Policy:
-    """Load a network of wcsim: of a run folder, `RUN:phase1`, or a policy folder.
-
-    It sets PyTorch to one thread in this process.
-    """
-    # Not at the top: checks of names must not load it.
-    import torch
-
-    # One picture is too little for two threads: on busy cores they wait for one another, fifty
-    # times as long as the work takes.
-    torch.set_num_threads(1)
-    path = policy_folder_from_name(name)
-    return learner_from_policy(path).load_policy(
-        path, name, config, parse_policy_name(name).level, network
-    )
 
 
 def list_policy_overrides(config: RunConfig, policy: Policy) -> tuple[str, ...]:

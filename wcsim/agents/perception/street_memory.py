@@ -12,7 +12,6 @@ seen once, and people who can walk off, stay for seconds.
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -53,13 +52,13 @@ _X, _Y, _WAY = range(3)
 _AROUND, _SEEN = 1, 2
 
 
-@dataclass(frozen=True, slots=True)
 class StepObstacleDetector:
     """Buffers for the cameras of one chair; `obstacles` writes into them."""
 
-    low_m: F32 = field(default_factory=lambda: np.empty((ROWS, COLUMNS), np.float32))
-    high_m: F32 = field(default_factory=lambda: np.empty((ROWS, COLUMNS), np.float32))
-    points_B_m: F64 = field(default_factory=lambda: np.empty((_MOST_POINTS, 2)))
+    def __init__(self) -> None:
+        self.low_m: F32 = np.empty((ROWS, COLUMNS), np.float32)
+        self.high_m = np.empty_like(self.low_m)
+        self.points_B_m = np.empty((_MOST_POINTS, 2))
 
     def obstacles(self, views: Iterable[CameraView], up_B: F64, box_B_m: F64) -> F64:
         """Find what is in the way.
@@ -121,31 +120,21 @@ def _fill_raster(
         y = eye[1] + depth * rays[i, 1]
         z = eye[2] + depth * rays[i, 2]
         level = up[0] * x + up[1] * y + up[2] * z
-        away = math.hypot(x, y)
-        if max(z, level) < -DROP_M - DROP_PER_M * away:
+        falls = max(z, level) < -DROP_M - DROP_PER_M * math.hypot(x, y)
+        if falls:
             # A drop starts where the ray should have met the ground.
             fall = eye[2] / max(eye[2] - z, 1e-6)
             x, y = eye[0] + fall * (x - eye[0]), eye[1] + fall * (y - eye[1])
-            row = math.floor(x / CELL_M) + AXLE_ROW
-            column = math.floor((y + REACH_M) / CELL_M)
-            if (
-                0 <= row < ROWS
-                and 0 <= column < COLUMNS
-                and not dropped[row, column]
-                and count < len(points)
-            ):
+        row = math.floor(x / CELL_M) + AXLE_ROW
+        column = math.floor((y + REACH_M) / CELL_M)
+        if not (0 <= row < ROWS and 0 <= column < COLUMNS):
+            continue
+        if falls:
+            if not dropped[row, column] and count < len(points):
                 dropped[row, column] = True
                 points[count, 0], points[count, 1] = x, y
                 count += 1
-            continue
-        row = math.floor(x / CELL_M) + AXLE_ROW
-        column = math.floor((y + REACH_M) / CELL_M)
-        if (
-            depth < farthest_m
-            and 0 <= row < ROWS
-            and 0 <= column < COLUMNS
-            and min(z, level) < HEAD_M
-        ):
+        elif depth < farthest_m and min(z, level) < HEAD_M:
             low[row, column] = min(low[row, column], z)
             high[row, column] = max(high[row, column], z)
     return count

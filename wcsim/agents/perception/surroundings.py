@@ -33,7 +33,8 @@ from wcsim.agents.policy_api import CLASS_KEY, IMU_KEY, JOYSTICK_KEY, Observatio
 from wcsim.config import RunConfig
 from wcsim.core.jit import compile_exact_kernel
 from wcsim.core.joystick import drive_limits_from_chair, shape_joysticks
-from wcsim.supervisor.actions import ActionSet
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.supervisor.actions import action_set
 from wcsim.types import F32, F64, I64, Outline
 
 SHY_M: Final = 0.06  # added for movers: they are wider than what is seen, and may move otherwise
@@ -59,21 +60,13 @@ class StreetPerception:
 
     Args:
         config: Of the run: its cameras of `env.camera` are seen, and its chair driven.
-        actions: The joystick positions to choose from.
-        outline: The box around the chair and its user.
         delay_ticks: From a command to the chair that obeys it; None for the configuration's.
     """
 
-    def __init__(
-        self,
-        config: RunConfig,
-        actions: ActionSet,
-        outline: Outline,
-        delay_ticks: int | None = None,
-    ) -> None:
+    def __init__(self, config: RunConfig, delay_ticks: int | None = None) -> None:
         self._chair, self._tick_s = config.chair, config.world.tick_s
-        self.box_B_m = outline_to_box(outline)
-        self.commands = shape_joysticks(actions.points, self._chair)
+        self.box_B_m = outline_to_box(plant_spec(config.chair).outline)
+        self.commands = shape_joysticks(action_set(config.env.actions).points, self._chair)
         self.limits = drive_limits_from_chair(self._chair)
         self.views = [CameraView(camera, prefix) for prefix, camera in config.eyes.items()]
         delay = config.world.action_delay_ticks if delay_ticks is None else delay_ticks

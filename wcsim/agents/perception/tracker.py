@@ -151,8 +151,7 @@ def _nearest_first(away_m: F64, gate_m: float) -> dict[int, int]:
 
 def _walks(clusters: F64) -> Bool:
     """(m,) which clusters are mostly people who walk or ride."""
-    walking: Bool = 2.0 * clusters[:, WALKERS] > clusters[:, PIXELS]
-    return walking
+    return 2.0 * clusters[:, WALKERS] > clusters[:, PIXELS]
 
 
 def _is_small(one: F64) -> bool:
@@ -166,8 +165,7 @@ def _innovation(track: TrackedMover, one: F64) -> F64:
     with it.
     """
     if _is_small(one):
-        off: F64 = one[[X, Y]] - track.p_O_m
-        return off
+        return one[[X, Y]] - track.p_O_m
     pairs = (one[_EXTENT] - track.extent_O_m).reshape(2, 2)
     least = np.where(np.abs(pairs[:, 0]) < np.abs(pairs[:, 1]), pairs[:, 0], pairs[:, 1])
     return np.where(pairs[:, 0] * pairs[:, 1] > 0.0, least, 0.0)

@@ -75,7 +75,6 @@ class _Zero(_Memoryless):
 
     def act(self, observation: Observation) -> int:
         """Always the middle."""
-        del observation
         return self.actions.nearest((0.0, 0.0))
 
 
@@ -97,7 +96,6 @@ class _Random(_Memoryless):
 
     def act(self, observation: Observation) -> int:
         """Draw an action, uniformly."""
-        del observation
         return int(self.rng.integers(0, len(self.actions)))
 
 
@@ -106,7 +104,7 @@ class _CorridorWatch:
 
     def __init__(self, camera: CameraConfig, chair: ChairConfig, outline: Outline) -> None:
         self._rays = viewing_rays(camera)
-        self._eye_B_m = np.array(camera.p_BC_m, dtype=np.float64)  # (3,)
+        self._eye_B_m = np.array(camera.p_BC_m, np.float64)  # (3,)
         self._range_m = camera.range_m
         self._chair = chair
         self._outline = outline
@@ -148,9 +146,7 @@ class _CorridorWatch:
 
 def _limit_m(points_B_m: F64) -> F64:
     """(K,) the height above which a place is in the way, and the depth below which it is a drop."""
-    return np.asarray(
-        STEP_M + _SLOPE_PER_M * np.hypot(points_B_m[:, 0], points_B_m[:, 1]), np.float64
-    )
+    return STEP_M + _SLOPE_PER_M * np.hypot(points_B_m[:, 0], points_B_m[:, 1])
 
 
 def _heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F64]:
@@ -175,7 +171,7 @@ def _in_corridor(
     x, y = points_B_m[:, 0], points_B_m[:, 1]
     half = 0.5 * outline.width_m + MARGIN_M
     if abs(turn_radps) < _STRAIGHT_RADPS:
-        return np.asarray((np.abs(y) < half) & (x > 0.0) & (x < reach_m), dtype=np.bool_)
+        return (np.abs(y) < half) & (x > 0.0) & (x < reach_m)
     radius = speed_mps / turn_radps  # centre of the arc at (0, radius), left positive
     aside = np.abs(np.hypot(x, y - radius) - abs(radius))
     angle = np.arctan2(x, (radius - y) * np.sign(radius))
@@ -183,7 +179,7 @@ def _in_corridor(
     # On a tight arc the footplate swings wide of the axle's path, so the straight box ahead of the
     # chair counts too.
     box = (np.abs(y) < half) & (x > 0.0) & (x < outline.front_x_m + CLEAR_M)
-    return np.asarray(box | ((aside < half) & (angle > 0.0) & (along < reach_m)), dtype=np.bool_)
+    return np.asarray(box | ((aside < half) & (angle > 0.0) & (along < reach_m)), np.bool_)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -274,9 +270,7 @@ def make_baseline_policy(name: str, config: RunConfig, seed: int = 0) -> Policy:
             actions=actions, watch=_CorridorWatch(config.eye, config.chair, outline)
         )
     if name.partition("@")[0] == LEVELLED:
-        return DynamicWindowPolicy(
-            name, config, actions, plant_spec(config.chair).outline, level_of(name)
-        )
+        return DynamicWindowPolicy(name, config, level_of(name))
     if name in UPPER_BOUNDS:
         return _OracleDriver(actions=actions, name=name)
     raise PolicyError(

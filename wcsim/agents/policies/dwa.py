@@ -46,9 +46,8 @@ from wcsim.agents.policy_api import (
 from wcsim.config import RunConfig
 from wcsim.core.jit import compile_exact_kernel
 from wcsim.errors import PolicyError
-from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.types import F64, I64, Bool, Outline
+from wcsim.supervisor.actions import action_set
+from wcsim.types import F64, I64, Bool
 
 ROOM_S: Final = 0.5  # more, for which a faster command than the last one must be free
 WARN_S: Final = 2.0  # before the user's stick would meet something
@@ -173,30 +172,21 @@ class DynamicWindowPolicy(HearsSent):
     Args:
         name: In tables.
         config: Of the run, with the cameras of `env.camera`, and the chair.
-        actions: The joystick positions to choose from.
-        outline: The box around the chair and its user.
         level: Of assistance, see `_caution`.
     """
 
     senses = MOTION_SENSES
     levels = (0.0, HIGHEST_LEVEL)
 
-    def __init__(
-        self,
-        name: str,
-        config: RunConfig,
-        actions: ActionSet,
-        outline: Outline,
-        level: float = USUAL_LEVEL,
-    ) -> None:
+    def __init__(self, name: str, config: RunConfig, level: float = USUAL_LEVEL) -> None:
         self.name = name
         self.level = level
         self._caution = _caution(level)
-        self._actions = actions
+        self._actions = action_set(config.env.actions)
         self._alarm = AlarmState()
-        self.unsafe: Bool = np.zeros(len(actions), np.bool_)
-        self.around = StreetPerception(config, actions, outline)
-        self._rest = actions.nearest((0.0, 0.0))
+        self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)
+        self.around = StreetPerception(config)
+        self._rest = self._actions.nearest((0.0, 0.0))
         self._last = self._rest  # the action that was sent last
         self._last_user = self._rest  # the action nearest to the user's stick then
 
@@ -259,7 +249,7 @@ class DynamicWindowPolicy(HearsSent):
             roomy, _ = _brakes_in_time(around, longer, start, later_s, points)
             free &= roomy | (out <= out[self._last])
         if not free.any():
-            return self._actions.nearest((0.0, 0.0))
+            return self._rest
         # 4. Choose the nearest to the stick; passing closely costs.
         cost = self._actions.distances(stick[None])[0]
         cost += _COMFORT_COST * np.clip((care.comfort_m - gap_m) / care.comfort_m, 0.0, 1.0)
@@ -288,10 +278,8 @@ class VetoPolicy(HearsSent):
             )
         self.name = name
         self.inner = inner
-        self._actions: ActionSet = action_set(config.env.actions)
-        self._dwa = DynamicWindowPolicy(
-            "dwa", config, self._actions, plant_spec(config.chair).outline
-        )
+        self._actions = action_set(config.env.actions)
+        self._dwa = DynamicWindowPolicy("dwa", config)
         self.senses = tuple(dict.fromkeys((*MOTION_SENSES, *senses_of(inner))))
         self.levels = self._dwa.levels
         self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)

@@ -18,14 +18,13 @@ example: `examples/served_policy.py`.
 import json
 import socket
 import time
-from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents.policy_api import ANSWER_S, SERVED, Observation
-from wcsim.core.reading import ANSWER, escape, parse_json
+from wcsim.core.reading import ANSWER, JsonObject, escape, parse_json
 from wcsim.errors import PolicyError
 
 _CONNECT_TIMEOUT_S: Final = 10.0
@@ -102,9 +101,7 @@ class ServedPolicyClient:
         self.warning = answer.get("warning") is True
         return action
 
-    def _request(
-        self, kind: str, observation: Mapping[str, npt.NDArray[Any]], **more: object
-    ) -> dict[str, Any]:
+    def _request(self, kind: str, observation: Observation, **more: object) -> JsonObject:
         """Send a message and return the answer; after any error the connection is closed."""
         arrays: dict[str, npt.NDArray[Any]] = {}
         for key, value in observation.items():

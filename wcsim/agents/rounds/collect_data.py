@@ -18,6 +18,7 @@ from wcsim.agents.runs.data_folder import (
     MANIFEST,
     SEGMENTS,
     DrivingSegmentKey,
+    Hashes,
     config_to_plain_settings,
     read_data_manifest,
     read_segment,
@@ -29,7 +30,6 @@ from wcsim.agents.runs.data_folder import (
 from wcsim.agents.runs.policy_file import require_danger_policy_fits
 from wcsim.agents.runs.transfer import folder_to_input_files, require_sendable_run, town_to_input_files
 from wcsim.config import RunConfig, resolve
-from wcsim.config.load import Layer
 from wcsim.core import reading
 from wcsim.core.files import (
     is_unfinished_write,
@@ -68,7 +68,7 @@ class SegmentCrew:
             require_sendable_run(config)
         self._folder = data
         self._scheduler = WorkScheduler(machines.open(logs), self._keep, least_late_s=LEAST_LATE_S)
-        self._sha256: dict[str, str] = {}  # of what has come, by name
+        self._sha256: Hashes = {}  # of what has come, by name
 
     def __enter__(self) -> SegmentCrew:
         self._scheduler.__enter__()
@@ -83,7 +83,7 @@ class SegmentCrew:
             [_work(order) for order in orders if not segment_path_from_name(self._folder, order.key.name).is_file()]
         )
 
-    def take(self, orders: Sequence[SegmentOrder], told: Told) -> dict[str, str]:
+    def take(self, orders: Sequence[SegmentOrder], told: Told) -> Hashes:
         """Wait for these segments; their SHA-256 by file name.
 
         Raises:
@@ -91,7 +91,7 @@ class SegmentCrew:
             PolicyError: The network cannot drive.
             TownError: A town is missing.
         """
-        found: dict[str, str] = {}
+        found: Hashes = {}
         asked = []
         for order in orders:
             name = order.key.name
@@ -145,15 +145,11 @@ def _plant_parcels(config: RunConfig) -> tuple[WorkInputFiles, ...]:
     return (WorkInputFiles(address=plant, folder=path.parent, names=(path.name,), inner=path.name),)
 
 
-def _plant_at(config: RunConfig, at: ToLocalPath) -> Layer:
-    """Where that wheelchair lies now."""
-    return {"chair": {"plant": at(config.chair.plant)}} if config.chair.plant.endswith(".toml") else None
-
-
 def _drive_order(order: SegmentOrder, at: ToLocalPath) -> bytes:
     """Drive one piece of work in this process; its segment as a file holds it."""
     torch.set_num_threads(1)
-    config = resolve(order.config, _plant_at(order.config, at))
+    plant = order.config.chair.plant
+    config = resolve(order.config, {"chair": {"plant": at(plant)}} if plant.endswith(".toml") else None)
     here = replace(order, towns=tuple(map(at, order.towns)), policy=order.policy and at(order.policy), config=config)
     make = _learned_of(Path(here.policy), config) if here.policy else None
     return segment_to_bytes(collect(here, make))
@@ -211,8 +207,8 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
 
 
 def _collected(order: DataOrder, found: Sequence[Town], told: Callable[[int, int], object]) -> str:
-    kept: dict[str, str] = {}
-    towns: dict[str, str] = {}
+    kept: Hashes = {}
+    towns: Hashes = {}
     if (order.folder / MANIFEST).is_file():
         file = read_data_manifest(order.folder)
         require_same_data_settings(order.folder, file, order.config)

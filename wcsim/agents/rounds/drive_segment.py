@@ -44,9 +44,9 @@ from wcsim.agents.runs.data_folder import (
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CollectConfig, RunConfig, resolve
-from wcsim.core import seeding
 from wcsim.core.own_folder import create_temporary_folder
 from wcsim.core.reading import escape
+from wcsim.core.seeding import derive_seed, make_rng
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.rewards import judge_crash_fault
@@ -140,7 +140,7 @@ def _drawn_settings(config: RunConfig, key: DrivingSegmentKey) -> tuple[str, ...
     variants = config.collect.variants
     if not variants:
         return ()
-    draw = seeding.make_rng(key.run, "collect", key.round, key.index, "variant")
+    draw = make_rng(key.run, "collect", key.round, key.index, "variant")
     return tuple(variants[int(draw.integers(len(variants)))].split())
 
 
@@ -165,7 +165,7 @@ def _town_in_turn(config: RunConfig, key: DrivingSegmentKey, towns: int) -> int:
     >>> sorted(_town_in_turn(config, key, 3) for key in keys if not _is_of_scenes(config, key))
     [0, 1, 2]
     """
-    number, first = _number(config, key), seeding.derive_seed(key.run, "collect", "first town")
+    number, first = _number(config, key), derive_seed(key.run, "collect", "first town")
     return (first + number - _scenes_before(config, number)) % towns
 
 
@@ -199,20 +199,20 @@ def _places_of(order: SegmentOrder, work: Path) -> Iterator[_SegmentPlace]:
 
 def _street(order: SegmentOrder, config: RunConfig) -> _SegmentPlace:
     key, collect = order.key, config.collect
-    rng = seeding.make_rng(key.run, "collect", key.round, key.index, "street")
+    rng = make_rng(key.run, "collect", key.round, key.index, "street")
     town = find_town(order.towns[_town_in_turn(order.config, key, len(order.towns))])
     drawn = rng.permutation(len(collect.profiles))
     who = [collect.profiles[int(drawn[seat % len(drawn)])] for seat in range(collect.chairs)]
     off_way = round(collect.off_way_share * collect.chairs)
     steps = [OFF_WAY_STEPS if seat < off_way else collect.episode_steps for seat in range(collect.chairs)]
     seats = tuple(SeatSpec(profile=profile, max_steps=most) for profile, most in zip(who, steps, strict=True))
-    seed = seeding.derive_seed(key.run, "collect", key.round, key.index, "world")
+    seed = derive_seed(key.run, "collect", key.round, key.index, "world")
     return _SegmentPlace(town=town, config=config, seats=seats, ticks=collect.ticks, seed=seed, off_way=off_way)
 
 
 def _scenes(order: SegmentOrder, config: RunConfig, work: Path) -> Iterator[_SegmentPlace]:
     key = order.key
-    rng = seeding.make_rng(key.run, "collect", key.round, key.index, "scenes")
+    rng = make_rng(key.run, "collect", key.round, key.index, "scenes")
     for number in range(_MOST_SCENES):
         seed = _SCENE_SEEDS + int(rng.integers(1 << 24))
         folder = write_scene(family_of(seed), seed, work / f"scene-{number}")
@@ -292,8 +292,7 @@ class _DataDriver:
             self._reckless = bool(rng.random() < _RECKLESS_SHARE)
         if self._held <= 0:
             return stick
-        wish: F64 = np.clip(stick + self._offset, -1.0, 1.0)
-        return wish
+        return np.clip(stick + self._offset, -1.0, 1.0)
 
 
 MakeLearned = Callable[[int], _Learned]  # for a chair whose commands arrive so many ticks late
@@ -313,9 +312,7 @@ def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> DrivingSeg
     key, parts = order.key, list[DrivingSegment]()
     with create_temporary_folder() as work:
         for number, place in enumerate(_places_of(order, work)):
-            seed = seeding.derive_seed(
-                key.run, "collect", key.round, key.index, "drivers", number
-            )  # of who drives, and how
+            seed = derive_seed(key.run, "collect", key.round, key.index, "drivers", number)  # of who drives, and how
             parts.append(_driven(place, make_learned, seed))
     return join_segments(parts)
 
@@ -326,11 +323,11 @@ def _driven(place: _SegmentPlace, make_learned: MakeLearned | None, seed: int) -
     specs = tuple(replace(spec, truth=asked, truth_visible=asked) for spec in place.seats)
     with World(place.town, place.config, specs, place.seed, find_user=find_user) as world:
         # Starts off the way have draws of their own, so that a share of them shifts nobody else's.
-        draws = [seeding.make_rng(seed, "off way", number) for number in range(place.off_way)]
+        draws = [make_rng(seed, "off way", number) for number in range(place.off_way)]
         for number, rng in enumerate(draws):
             _begin_off_way(world, number, rng)
         seats = [
-            _Seat(place.config, client, make_learned, seeding.make_rng(seed, "collect", number), number < len(draws))
+            _Seat(place.config, client, make_learned, make_rng(seed, "collect", number), number < len(draws))
             for number, client in enumerate(world.snapshot.clients)
         ]
         steps = rollout(world, {number: seat.driver.choose for number, seat in enumerate(seats)})

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copytree
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import torch
@@ -24,6 +24,7 @@ from wcsim.agents.rounds.drive_segment import SegmentOrder, orders_of, require_r
 from wcsim.agents.runs.checkpoint import (
     STATE,
     Arrays,
+    Log,
     Restore,
     checkpoint_number_from_path,
     format_checkpoint_name,
@@ -38,6 +39,7 @@ from wcsim.agents.runs.data_folder import (
     SEGMENTS,
     DrivingSegment,
     DrivingSegmentKey,
+    Hashes,
     read_data_manifest,
     read_segment,
     require_same_data_settings,
@@ -45,6 +47,7 @@ from wcsim.agents.runs.data_folder import (
     write_data_manifest,
 )
 from wcsim.agents.runs.metrics import append_round_metrics, require_tensorboard_installed
+from wcsim.agents.runs.policy_file import parse_saved
 from wcsim.agents.runs.run_folder import (
     METRICS,
     ResolvedRun,
@@ -57,7 +60,7 @@ from wcsim.agents.runs.weights import hash_network_weights
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import DangerRuleSettings, DangerTrainingCheckpoint, LearnedDataFile
 from wcsim.core import files, reading, seeding
-from wcsim.core.reading import escape, is_file, read_json
+from wcsim.core.reading import JsonObject, escape, is_file, read_json
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
 from wcsim.server.workers.machines import HERE, WorkerPoolSettings
 from wcsim.server.workers.scheduler import WorkerStatus
@@ -68,7 +71,7 @@ from wcsim.towns.scenario.town import Town, find_town, open_town, streets_hash
 LEARNED: Final = "learned_data.json"
 
 
-def data_of(run: RunFolder) -> dict[str, dict[str, str]]:
+def data_of(run: RunFolder) -> dict[str, Hashes]:
     """The segments of each data folder that a run learns from, SHA-256 by file name: those that it began with.
 
     Raises:
@@ -76,10 +79,7 @@ def data_of(run: RunFolder) -> dict[str, dict[str, str]]:
     """
     path = run.path / LEARNED
     if is_file(path):
-        try:
-            return parse(LearnedDataFile, read_json(path, reading.LEARNED), escape(path)).folders
-        except ConfigError as error:
-            raise PolicyError(str(error)) from None
+        return parse_saved(LearnedDataFile, read_json(path, reading.LEARNED), escape(path)).folders
     found = {}
     for folder in resolve_data_folders(run.config)["collect"]["data"]:
         file = read_data_manifest(Path(folder))
@@ -137,7 +137,7 @@ def _train_rounds(
     towns: tuple[str, ...],
     machines: WorkerPoolSettings,
     progress: Progress,
-    log: Callable[[str], object],
+    log: Log,
 ) -> str:
     """Do all rounds that are left; the SHA-256 of the weights.
 
@@ -204,9 +204,7 @@ def _train_rounds(
     return hash_network_weights(learner.net)
 
 
-def _drive(
-    workers: SegmentCrew, orders: Sequence[SegmentOrder], now: RoundProgress, progress: Progress
-) -> dict[str, str]:
+def _drive(workers: SegmentCrew, orders: Sequence[SegmentOrder], now: RoundProgress, progress: Progress) -> Hashes:
     return workers.take(orders, lambda segments, drive: progress(replace(now, segments=segments, workers=drive)))
 
 
@@ -214,16 +212,16 @@ def _learn(learner: DangerLearner, dataset: Dataset, updates: int, now: RoundPro
     return learner.learn(dataset, updates, lambda done: progress(replace(now, learned=done)))
 
 
-def _save_round(folder: Path, number: int, learner: DangerLearner, segments: dict[str, str]) -> None:
+def _save_round(folder: Path, number: int, learner: DangerLearner, segments: Hashes) -> None:
     """Save a learner after a round by `write_checkpoint`; `segments` are those that it has learned from."""
     state = {"updates": learner.updates, "loss": learner.loss, "segments": segments}
     write_checkpoint(folder, format_checkpoint_name("round", number), state, learner.arrays())
 
 
-def _restoring(learner: DangerLearner) -> Restore[dict[str, str]]:
+def _restoring(learner: DangerLearner) -> Restore[Hashes]:
     """Brings a learner to where it was after a round, and tells the segments that it had learned from."""
 
-    def restore(_: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> dict[str, str]:
+    def restore(_: int, state: JsonObject, arrays: dict[str, Arrays]) -> Hashes:
         said = parse(DangerTrainingCheckpoint, state, STATE)
         sort_segment_names(said.segments)
         learner.restore(arrays, said.updates, said.loss)
@@ -266,7 +264,7 @@ def towns_of(
     config: RunConfig,
     folder: Path,
     seed: int,
-    stage: Callable[[str], object] = lambda told: None,
+    stage: Log = lambda told: None,
 ) -> tuple[str, ...]:
     """Folders or names of all towns, the run's own first.
 
@@ -307,7 +305,7 @@ def train_danger(
     town: Town,
     machines: WorkerPoolSettings = HERE,
     progress: Progress = lambda now: None,
-    stage: Callable[[str], object] = lambda told: None,
+    stage: Log = lambda told: None,
 ) -> Path:
     """Do all rounds and leave a run folder with data/, checkpoints/ and policies/final.
 
@@ -322,7 +320,11 @@ def train_danger(
         InterruptedRunError: Ctrl-C; policies/final is that of the last whole round, and `resume` goes on.
         PolicyError, TownError, ConfigError, WorkersError, DiskFullError: See `_train_rounds` and `open_or_create_run`.
     """
-    _require_driving(run.config)
+    if run.config.collect.segments == 0 and not run.config.collect.data:
+        raise ConfigError(
+            "collect.segments=0 without collect.data: there is no data to learn from; expected --data FOLDER, or "
+            "collect.segments of 1 or more"
+        )
     require_recordable(run.config)
     if run.config.learn.tensorboard:
         require_tensorboard_installed()
@@ -341,12 +343,3 @@ def train_danger(
         folder.with_status("done", folder.config.collect.rounds * folder.config.danger.updates)
         folder.event("done", weights_sha256=sha256)
     return folder.path
-
-
-def _require_driving(config: RunConfig) -> None:
-    """Refuse a run that nobody drives for. Raises ConfigError."""
-    if config.collect.segments == 0 and not config.collect.data:
-        raise ConfigError(
-            "collect.segments=0 without collect.data: there is no data to learn from; expected --data FOLDER, or "
-            "collect.segments of 1 or more"
-        )

@@ -21,7 +21,7 @@ from safetensors.numpy import load_file, save_file
 
 from wcsim.agents.runs.run_folder import RunFolder
 from wcsim.core import files, reading
-from wcsim.core.reading import escape, is_folder, read_file_size, read_json
+from wcsim.core.reading import JsonObject, escape, is_folder, read_file_size, read_json
 from wcsim.errors import PolicyError, WcsimError
 
 STATE: Final = "state.json"
@@ -36,7 +36,9 @@ _FILE: Final = re.compile(rf"[a-z_]+{re.escape(_END)}", re.ASCII)
 
 Arrays = dict[str, np.ndarray]
 T = TypeVar("T")
-Restore = Callable[[int, dict[str, Any], dict[str, Arrays]], T]
+Log = Callable[[str], object]
+Alive = Callable[[], object]  # called now and then while something takes long
+Restore = Callable[[int, JsonObject, dict[str, Arrays]], T]
 """Restores a learner at a step or round from state and arrays; raises where they do not fit."""
 
 
@@ -92,7 +94,7 @@ def write_checkpoint(
     name: str,
     state: Mapping[str, Any],
     arrays: Mapping[str, Arrays | _Shared],
-    alive: Callable[[], object] = lambda: None,
+    alive: Alive = lambda: None,
 ) -> Path:
     """Write the checkpoint `folder/name` in one step, and drop all but it and the newest ones.
 
@@ -167,9 +169,7 @@ def _restore_newest(folder: Path, restore: Restore[T]) -> _Restored[T]:
     )
 
 
-def restore_newest_checkpoint(
-    run: RunFolder, restore: Restore[T], log: Callable[[str], object]
-) -> _Restored[T] | None:
+def restore_newest_checkpoint(run: RunFolder, restore: Restore[T], log: Log) -> _Restored[T] | None:
     """Restore a run's newest sound checkpoint, and log skipped ones; None for a run without any.
 
     Skipped ones are set aside: they belong to work that is done again, with another result.
@@ -206,7 +206,7 @@ def _is_name(name: str) -> bool:
     return match is not None and name == format_checkpoint_name(match[1], int(match[2]))
 
 
-def _read_state(path: Path) -> dict[str, Any]:
+def _read_state(path: Path) -> JsonObject:
     """The state of a checkpoint. Raises PolicyError when it is damaged."""
     state = read_json(path / STATE, reading.STATE)
     version = state.get("schema_version")

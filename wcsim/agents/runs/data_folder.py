@@ -18,14 +18,16 @@ import numpy as np
 import zstandard
 
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
-from wcsim.agents.runs.policy_file import CAMERA_KEYS, SIGHT_KEYS
-from wcsim.config import CameraConfig, ChairConfig, RunConfig, parse
+from wcsim.agents.runs.policy_file import CAMERA_KEYS, SIGHT_KEYS, parse_saved
+from wcsim.config import CameraConfig, ChairConfig, RunConfig
 from wcsim.config.plant import read_own_plant_bytes
 from wcsim.config.run_file import DrivingDataFile
 from wcsim.core import files, reading
-from wcsim.core.reading import SEGMENT, decompress_zstd, escape, read_bytes, read_json
-from wcsim.errors import ConfigError, PolicyError
+from wcsim.core.reading import SEGMENT, JsonObject, decompress_zstd, escape, read_bytes, read_json
+from wcsim.errors import PolicyError
 from wcsim.types import F32, F64, U8, Bool
+
+Hashes = dict[str, str]  # SHA-256 of files, by name
 
 # What chose an action: the user alone, the blinded oracle, the network, or the user's stick with a
 # random offset.
@@ -157,8 +159,7 @@ def crash_times_to_codes(first_s: F64) -> U8:
     steps = np.where(
         np.isinf(first_s), SAFE, np.minimum(np.rint(np.minimum(first_s, 1e3) / STEP_S), SAFE - 1)
     )
-    codes: U8 = steps.astype(np.uint8)
-    return codes
+    return steps.astype(np.uint8)
 
 
 def mask_soon_unsafe_actions(codes: U8, ends: Bool, ahead: int) -> Bool:
@@ -239,9 +240,7 @@ def read_segment(path: Path, sha256: str = "") -> DrivingSegment:
     return DrivingSegment(**columns)
 
 
-def write_data_manifest(
-    folder: Path, config: RunConfig, towns: dict[str, str], segments: dict[str, str]
-) -> str:
+def write_data_manifest(folder: Path, config: RunConfig, towns: Hashes, segments: Hashes) -> str:
     """Write the folder's settings, its towns with their hashes, and the segments' hashes by name.
 
     Returns:
@@ -266,12 +265,8 @@ def write_data_manifest(
 
 def read_data_manifest(folder: Path) -> DrivingDataFile:
     """Read `data.json`. Raises PolicyError."""
-    try:
-        return parse(
-            DrivingDataFile, read_json(folder / MANIFEST, reading.DATA), escape(folder / MANIFEST)
-        )
-    except ConfigError as error:
-        raise PolicyError(str(error)) from None
+    path = folder / MANIFEST
+    return parse_saved(DrivingDataFile, read_json(path, reading.DATA), escape(path))
 
 
 def require_same_data_settings(folder: Path, file: DrivingDataFile, config: RunConfig) -> None:
@@ -298,10 +293,10 @@ def _settings_digest(config: RunConfig) -> str:
     """SHA-256 over the settings that data and its learner share: camera, chair, actions."""
     settings = config_to_plain_settings(config)
     parts = [_part(settings, name) for name in _SETTINGS]
-    return hashlib.sha256(repr(parts).encode()).hexdigest()
+    return files.sha256_from_text(repr(parts))
 
 
-def config_to_plain_settings(config: RunConfig) -> dict[str, Any]:
+def config_to_plain_settings(config: RunConfig) -> JsonObject:
     """All settings as plain values; the user's own plant by its file's hash, not its path.
 
     Raises:
@@ -316,21 +311,20 @@ def _plant_sha256(config: RunConfig) -> str:
     return hashlib.sha256(text).hexdigest() if text else ""
 
 
-def _by_content(dumped: dict[str, Any], plant_sha256: str) -> dict[str, Any]:
+def _by_content(dumped: JsonObject, plant_sha256: str) -> JsonObject:
     chair = dumped.get("chair")
     if not plant_sha256 or not isinstance(chair, dict):
         return dumped
     return {**dumped, "chair": {**chair, "plant": plant_sha256}}
 
 
-def hash_segments(segments: dict[str, str]) -> str:
+def hash_segments(segments: Hashes) -> str:
     """SHA-256 over all segments, in any order."""
-    return hashlib.sha256(
-        "\n".join(f"{name} {segments[name]}" for name in sorted(segments)).encode()
-    ).hexdigest()
+    rows = (f"{name} {segments[name]}" for name in sorted(segments))
+    return files.sha256_from_text("\n".join(rows))
 
 
-def _part(dumped: dict[str, Any], name: str) -> Any:
+def _part(dumped: JsonObject, name: str) -> Any:
     here: Any = dumped
     for word in name.split("."):
         if word.isdecimal():

@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal, TypeVar
+from typing import Final, Literal
 
 import wcsim
 from wcsim.agents.policy_api import (
@@ -22,9 +22,10 @@ from wcsim.agents.policy_api import (
     level_of,
 )
 from wcsim.config import RunConfig, parse
+from wcsim.config.load import M
 from wcsim.config.run_file import DangerPolicyFile, QPolicyFile, ShippedPolicyHashes
 from wcsim.core import files
-from wcsim.core.reading import HASHES, POLICY, escape, is_file, is_folder, read_json
+from wcsim.core.reading import HASHES, POLICY, JsonObject, escape, is_file, is_folder, read_json
 from wcsim.errors import ConfigError, PolicyError
 
 POLICY_JSON: Final = "policy.json"
@@ -55,17 +56,16 @@ HELD: Final = (
 STAGES: Final = ("phase1", "final")
 _LEVEL: Final = re.compile(r"\d+(\.\d*)?|\.\d+")
 Kind = Literal["baseline", "served", "onnx", "class", "shipped", "folder"]
-File = TypeVar("File", QPolicyFile, DangerPolicyFile)
 
 
 def read_value_policy_file(path: Path) -> QPolicyFile:
     """Read and check `policy.json` of a network that gives values. Raises PolicyError."""
-    return _parsed(QPolicyFile, path)
+    return parse_saved(QPolicyFile, _read(path), escape(path / POLICY_JSON))
 
 
 def read_danger_policy_file(path: Path) -> DangerPolicyFile:
     """Read and check `policy.json` of a danger network. Raises PolicyError."""
-    return _parsed(DangerPolicyFile, path)
+    return parse_saved(DangerPolicyFile, _read(path), escape(path / POLICY_JSON))
 
 
 def read_policy_algorithm(path: Path) -> object:
@@ -73,14 +73,15 @@ def read_policy_algorithm(path: Path) -> object:
     return _read(path).get("algorithm")
 
 
-def _parsed(model: type[File], path: Path) -> File:
+def parse_saved(model: type[M], data: JsonObject, where: str) -> M:
+    """`parse` for what a run, a policy or a data folder holds. Raises PolicyError."""
     try:
-        return parse(model, _read(path), escape(path / POLICY_JSON))
+        return parse(model, data, where)
     except ConfigError as error:
         raise PolicyError(str(error)) from None
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> JsonObject:
     if not is_file(path / POLICY_JSON):
         raise PolicyError(
             f"{escape(path)} is not a policy folder: it has no {POLICY_JSON}; expected a folder "
@@ -109,11 +110,8 @@ def find_shipped_policy(place: Path | None = None) -> Path:
             f"this wcsim comes without a policy: {escape(folder)} has no {FILES}; expected one "
             "made by tools/ship_policy.py RUN: name a run of your own"
         )
-    try:
-        file = parse(ShippedPolicyHashes, read_json(folder / FILES, HASHES), escape(folder / FILES))
-    except ConfigError as error:
-        raise PolicyError(str(error)) from None
-    hashes = file.sha256
+    data, where = read_json(folder / FILES, HASHES), escape(folder / FILES)
+    hashes = parse_saved(ShippedPolicyHashes, data, where).sha256
     missing = [name for name in HELD if name not in hashes or not is_file(folder / name)]
     other = [
         name
@@ -204,8 +202,10 @@ def require_danger_policy_fits(folder: Path, name: str, config: RunConfig) -> No
     # It does not look at further ones.
     pairs = zip(learned, seen, strict=False)
     other = [key for a, b in pairs for key in CAMERA_KEYS if getattr(a, key) != getattr(b, key)]
-    other += [key for key in ("actions",) if file.net.actions != config.env.actions]
-    other += [key for key in ("classes",) if file.classes != config.env.classes]
+    if file.net.actions != config.env.actions:
+        other.append("actions")
+    if file.classes != config.env.classes:
+        other.append("classes")
     if other:
         raise PolicyError(
             f"policy {name!r} was trained with another camera, class form or action set "

@@ -23,7 +23,7 @@ import subprocess
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS
 from wcsim.agents.runs.data_folder import DATA, SEGMENTS
@@ -41,7 +41,7 @@ from wcsim.config.plant import read_own_plant_bytes
 from wcsim.config.run_file import RunManifestFile
 from wcsim.core import files
 from wcsim.core.processes import run_command
-from wcsim.core.reading import METRIC_LINES, RUN, escape, is_file, is_folder, read_lines
+from wcsim.core.reading import METRIC_LINES, RUN, JsonObject, escape, is_file, is_folder, read_lines
 from wcsim.core.reading import read_json as read_bounded_json
 from wcsim.core.sources import read_package_version
 from wcsim.errors import ConfigError, PolicyError, meant
@@ -234,14 +234,14 @@ def open_run(path: Path) -> RunFolder:
     return RunFolder(path=path, config=resolved, manifest=manifest)
 
 
-def run_manifest_from_json(data: dict[str, Any], path: Path) -> RunManifest:
+def run_manifest_from_json(data: JsonObject, path: Path) -> RunManifest:
     """The manifest in the data of a run's file. Raises PolicyError when it is none."""
     checked = _checked_manifest(data, path / MANIFEST).model_dump(exclude=set(_NOT_OF_ONE_NETWORK))
     checked["overrides"] = tuple(Override(**row) for row in checked["overrides"])
     return RunManifest(**checked)
 
 
-def _checked_manifest(data: dict[str, Any], file: Path) -> RunManifestFile:
+def _checked_manifest(data: JsonObject, file: Path) -> RunManifestFile:
     try:
         return parse(RunManifestFile, data, escape(file))
     except ConfigError as error:
@@ -307,7 +307,7 @@ def run_from_policy_name(name: str) -> RunFolder | None:
     return open_run(folder) if is_file(folder / MANIFEST) else None
 
 
-def read_run_json(path: Path, name: str) -> dict[str, Any]:
+def read_run_json(path: Path, name: str) -> JsonObject:
     """A JSON object among a run's files; a manifest's entries have their types and bounds.
 
     Raises:
@@ -325,7 +325,7 @@ def read_run_json(path: Path, name: str) -> dict[str, Any]:
     return data
 
 
-def open_or_create_run(run: ResolvedRun, complete: Complete = lambda _: None) -> RunFolder:
+def open_or_create_run(run: ResolvedRun, complete: Complete) -> RunFolder:
     """A new run folder, or that of a run to resume with equal settings, seed, town and rewards.
 
     Args:

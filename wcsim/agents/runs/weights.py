@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import torch
 from safetensors.torch import load, save
+from torch import Tensor
 
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.core import files, reading
@@ -16,7 +17,7 @@ from wcsim.core.sources import read_package_version
 from wcsim.errors import PolicyError
 
 _MAX_HEADER_BYTES = 1 << 20
-Tensors = Mapping[str, torch.Tensor]
+Tensors = Mapping[str, Tensor]
 Net = TypeVar("Net", bound=torch.nn.Module)
 
 
@@ -70,7 +71,7 @@ def load_network(folder: Path, sha256: str, make: Callable[[], Net], *, own: boo
     return net
 
 
-def _read_weights(path: Path, sha256: str, tensors: Iterable[torch.Tensor]) -> bytes:
+def _read_weights(path: Path, sha256: str, tensors: Iterable[Tensor]) -> bytes:
     """The bytes of a weights file of the size of these tensors.
 
     Raises:
@@ -95,10 +96,10 @@ def _read_weights(path: Path, sha256: str, tensors: Iterable[torch.Tensor]) -> b
 
 def validate_tensors(
     where: str,
-    tensors: dict[str, torch.Tensor],
+    tensors: Tensors,
     expected: Tensors,
     of: str = "the network that policy.json describes",
-) -> dict[str, torch.Tensor]:
+) -> Tensors:
     """The tensors, if they are finite and have the names, types and shapes of `expected`.
 
     Raises:
@@ -127,5 +128,5 @@ def hash_network_weights(net: torch.nn.Module) -> str:
     return text.hexdigest()
 
 
-def _facts(tensor: torch.Tensor) -> str:
+def _facts(tensor: Tensor) -> str:
     return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from wcsim.bridge.ego.contact_ahead import meets_edge
+from wcsim.bridge.ego.contact_ahead import find_plane, meets_edge
 from wcsim.bridge.ego.crossing_watch import CrossingButton, CrossingWatch, OnRoad
 from wcsim.bridge.ego.near_rows import near_rows
 from wcsim.bridge.ego.randomization import DrawnChair, Randomization
@@ -23,6 +23,7 @@ from wcsim.bridge.reaction.commands import ROADWAY, ChairInStreet, GreenRequest
 from wcsim.bridge.sumo.step_hook import HookChair
 from wcsim.config import RunConfig, WorldConfig
 from wcsim.core import seeding
+from wcsim.core.boxes import Box
 from wcsim.core.frames import sumo_from_yaw
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import SeatBuffers
@@ -32,7 +33,9 @@ from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.pixel_noise import child
 from wcsim.physics.wheelchair.plant import plant_spec, refuse_cameras_inside
-from wcsim.physics.wheelchair.wheelchair import Wheelchair, fell
+from wcsim.physics.wheelchair.rolling import Plane
+from wcsim.physics.wheelchair.wheel_track import fell
+from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import NEAR
 from wcsim.supervisor.oracle import CrashOracle
@@ -244,6 +247,11 @@ class Ego:
         """Whether one of the chair's wheels is about to meet the edge of a kerb."""
         chair, tick_s = self.chair, self._config.world.tick_s
         return meets_edge(chair.state(), chair.wheels_m, self._street.grid, tick_s)
+
+    def plane(self, reach: Box) -> Plane | None:
+        """The plane that the chair can roll on without the engine, where that is all in reach."""
+        plane = find_plane(self.plant, reach, self._street.grid)
+        return plane if plane is not None and self.chair.can_roll(plane) else None
 
     def stand(self) -> None:
         """Put the chair at the start of this episode; its street has to be in the engine."""

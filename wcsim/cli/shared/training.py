@@ -25,11 +25,7 @@ from wcsim.cli.shared.run_config import (
     require_matching_learner,
     settings_from_learner,
 )
-from wcsim.cli.shared.training_options import (
-    OutputOptions,
-    QLearningBaseOptions,
-    TrainingOptions,
-)
+from wcsim.cli.shared.training_options import OutputOptions, QLearningBaseOptions, TrainingOptions
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.config.held_out import refuse_held_out
 from wcsim.config.load import Layer, is_override_of_key

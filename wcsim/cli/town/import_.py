@@ -189,11 +189,12 @@ def run(options: ScenarioImportOptions | XodrImportOptions | OsmImportOptions) -
     require_writable_folder("--out", out)
     # The import may replace the working folder itself.
     json = options.json and options.json.resolve()
+    more: dict[str, Any] = {}
     with remove_folders_on_failure(out.parent):
         if isinstance(options, ScenarioImportOptions):
-            report, more = _adopt(options, out), dict[str, Any]()
+            report = _adopt(options, out)
         elif isinstance(options, XodrImportOptions):
-            report, more = _convert(options, out), dict[str, Any]()
+            report = _convert(options, out)
         else:
             report, more = _build(options, out)
     return print_town_report(report, started_s, json, **more)

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from wcsim.cli.shared.common import (
     Bounds,
@@ -107,9 +107,22 @@ def _record(
     options: TownRunOptions, town: Town, config: RunConfig, out: Path, command: tuple[str, ...]
 ) -> TrafficFacts:
     """Run the traffic into a folder, with a manifest from the first step on."""
+    from wcsim.agents.runs.run_folder import make_run_manifest
     from wcsim.bridge.town_run import RecordOrder, record_town
+    from wcsim.server.specs import RunInfo
 
-    manifest = _manifest(options, town, config, command)
+    info = RunInfo(
+        seed=options.seed, town=town.name, town_sha256=content_hash(town), command=command
+    )
+    manifest = {
+        **asdict(make_run_manifest(config, info)),
+        "kind": "town run",
+        "sumo_seed": seeding.derive_seed(options.seed, "sumo"),
+        "chairs": options.chairs,
+        "seconds": options.seconds,
+        "hook": options.hook,
+        "config": config.model_dump(mode="json"),
+    }
     out.mkdir(parents=True, exist_ok=True)
 
     def write_start(scenario: Scenario) -> None:
@@ -153,26 +166,6 @@ def _record(
         raise
     write_json(out / MANIFEST, {**manifest, "status": "done", "facts": asdict(facts)})
     return facts
-
-
-def _manifest(
-    options: TownRunOptions, town: Town, config: RunConfig, command: tuple[str, ...]
-) -> dict[str, Any]:
-    from wcsim.agents.runs.run_folder import make_run_manifest
-    from wcsim.server.specs import RunInfo
-
-    info = RunInfo(
-        seed=options.seed, town=town.name, town_sha256=content_hash(town), command=command
-    )
-    return {
-        **asdict(make_run_manifest(config, info)),
-        "kind": "town run",
-        "sumo_seed": seeding.derive_seed(options.seed, "sumo"),
-        "chairs": options.chairs,
-        "seconds": options.seconds,
-        "hook": options.hook,
-        "config": config.model_dump(mode="json"),
-    }
 
 
 def _summary(facts: TrafficFacts) -> dict[str, str]:

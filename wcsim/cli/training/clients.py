@@ -39,13 +39,7 @@ from wcsim.cli.shared.training_options import OutputOptions
 from wcsim.core.files import lock_run_folder
 from wcsim.core.own_folder import create_runtime_folder
 from wcsim.core.processes import StopSignalCounter
-from wcsim.errors import (
-    ConfigError,
-    DiskFullError,
-    InterruptedRunError,
-    JournalError,
-    WcsimError,
-)
+from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, WcsimError
 from wcsim.log.reader import hash_log, iter_journal_inputs, list_log_parts
 from wcsim.log.writer import JOURNAL, LogWriter, format_truncation_warning
 from wcsim.server.launch.launcher import ProcessLauncher
@@ -379,22 +373,19 @@ def _print_report(report: Mapping[str, Any], waits: GroupRunTimes) -> None:
     rows = (map(str, client.values()) for client in report["clients"])
     show_table(headings, rows, box=box.SIMPLE_HEAD, pad_edge=False)
     if len(waits.clients) > 1:
-        paid = ("client", "acting s", "learning s", "waiting s", "mostly for")
-        show_table(paid, _paid_rows(waits), box=box.SIMPLE_HEAD, pad_edge=False)
+        paid_rows = []
+        for name, paid in waits.clients.items():
+            waited_s = waits.waited_s.get(name, {})
+            longest = max(waited_s, key=lambda other: waited_s[other], default="")
+            most = "-"
+            if longest and waited_s[longest] > 0.0:
+                most = f"{longest} ({waited_s[longest]:.1f})"
+            parts_s = (paid.acting_s, paid.learning_s, paid.waiting_s)
+            paid_rows.append((name, *(f"{part_s:.1f}" for part_s in parts_s), most))
+        paid_for = ("client", "acting s", "learning s", "waiting s", "mostly for")
+        show_table(paid_for, paid_rows, box=box.SIMPLE_HEAD, pad_edge=False)
     stdout_console().print(
         f"{report['ticks']} world ticks, {report['ticks_per_s']:.1f} per second; "
         f"journal hash {report['journal_hash']}",
         soft_wrap=True,
     )
-
-
-def _paid_rows(waits: GroupRunTimes) -> Iterator[tuple[str, ...]]:
-    """The times of each client, and the other that it waited for most."""
-    for name, paid in waits.clients.items():
-        waited_s = waits.waited_s.get(name, {})
-        longest = max(waited_s, key=lambda other: waited_s[other], default="")
-        most = (
-            f"{longest} ({waited_s[longest]:.1f})" if longest and waited_s[longest] > 0.0 else "-"
-        )
-        parts_s = (paid.acting_s, paid.learning_s, paid.waiting_s)
-        yield (name, *(f"{part_s:.1f}" for part_s in parts_s), most)

@@ -121,7 +121,9 @@ def run(words: list[str]) -> int:
 
     page, key = _write_page(out, order, result, config, options.suite, suite)
     _print("\n" + verdict(result), "bold")
-    _print(f"\ndone in {_minutes(time.monotonic() - started_s)}; open this page: {page}", "bold")
+    spent_s = time.monotonic() - started_s
+    spent = f"{spent_s:.0f} s" if spent_s < 90.0 else f"{spent_s / 60.0:.0f} min"
+    _print(f"\ndone in {spent}; open this page: {page}", "bold")
     _print("next:")
     for command, purpose in _commands(out, options.suite, key):
         _print(f"  {command}\n      {purpose}")
@@ -152,6 +154,7 @@ def _write_page(
     suite: HashedSuite,
 ) -> tuple[Path, tuple[int, int]]:
     """Film a drive, alone and with help, and write the page; returns it, and the block and seat."""
+    from wcsim.towns.scene_folders.families import TRAINED
     from wcsim.view.report.suite_page import write_demo_page
     from wcsim.view.report.twin_film import film_twins, telling_episode
 
@@ -160,6 +163,8 @@ def _write_page(
     key = telling_episode(result, str(out))
     with StageBar("filming") as bar:
         caption, _ = film_twins(film, order, result, str(out), key, bar.show)
+    # The families of the list's generated scenes that the training draws scenes of, too.
+    drawn = TRAINED if config.collect.scene_share > 0.0 else ()
     page = write_demo_page(
         out,
         result,
@@ -167,18 +172,10 @@ def _write_page(
         film_webm=film.read_bytes(),
         film_says=caption,
         key=key,
-        trained=_trained_families(config, suite),
+        trained=sorted({block.town for block in suite.file.blocks}.intersection(drawn)),
         commands=_commands(out, name, key),
     )
     return page, key
-
-
-def _trained_families(config: RunConfig, suite: HashedSuite) -> list[str]:
-    """The families of the list's generated scenes that the training draws scenes of, too."""
-    from wcsim.towns.scene_folders.families import TRAINED
-
-    drawn = TRAINED if config.collect.scene_share > 0.0 else ()
-    return sorted({block.town for block in suite.file.blocks}.intersection(drawn))
 
 
 def _commands(out: Path, suite: str, key: tuple[int, int]) -> tuple[tuple[str, str], ...]:
@@ -200,7 +197,3 @@ def _commands(out: Path, suite: str, key: tuple[int, int]) -> tuple[tuple[str, s
             "trains a better network, in half an hour",
         ),
     )
-
-
-def _minutes(spent_s: float) -> str:
-    return f"{spent_s:.0f} s" if spent_s < 90.0 else f"{spent_s / 60.0:.0f} min"

@@ -108,7 +108,15 @@ def run(words: list[str]) -> int:
     print(f"exported to {options.onnx}: {_compared(facts)}")
     if facts.same_as_recorded is not None:
         print(_beside_recording(facts.same_as_recorded, by, options.policy))
-    print(_costs(facts, bar_ms))
+    cost, slow = facts.cost, facts.quota_share
+    within = "within" if cost.p99_ms <= bar_ms else "over"
+    print(
+        f"one thread: {cost.p50_ms:.2f} ms per step (p99 {cost.p99_ms:.2f}, {within} the limit of "
+        f"{bar_ms:g} "
+        f"ms; {cost.cpu_p50_ms:.2f} ms CPU time), {cost.peak_mb:.0f} MB of memory\n"
+        f"{slow:.0%} of a core, by {facts.quota_by} every {1000.0 * facts.quota_period_s:g} ms: "
+        f"{cost.quota_p50_ms:.2f} ms (p99 {cost.quota_p99_ms:.2f})"
+    )
     write_json(options.json, asdict(facts))
     return ExitCode.DONE
 
@@ -161,19 +169,6 @@ def _beside_recording(same: float, by: str, policy: str) -> str:
         f"{text}: another policy or threshold. The reference ride holds the actions of "
         f"{escape(policy)} for these observations. Record it while it drives: wcsim drive "
         f"--policy {shlex.quote(policy)} --record FILE"
-    )
-
-
-def _costs(facts: ExportMeasurements, bar_ms: float) -> str:
-    """What a step takes."""
-    cost, slow = facts.cost, facts.quota_share
-    within = "within" if cost.p99_ms <= bar_ms else "over"
-    return (
-        f"one thread: {cost.p50_ms:.2f} ms per step (p99 {cost.p99_ms:.2f}, {within} the limit of "
-        f"{bar_ms:g} "
-        f"ms; {cost.cpu_p50_ms:.2f} ms CPU time), {cost.peak_mb:.0f} MB of memory\n"
-        f"{slow:.0%} of a core, by {facts.quota_by} every {1000.0 * facts.quota_period_s:g} ms: "
-        f"{cost.quota_p50_ms:.2f} ms (p99 {cost.quota_p99_ms:.2f})"
     )
 
 

@@ -24,7 +24,7 @@ from wcsim.cli.shared.training import (
     remove_run_without_results,
 )
 from wcsim.cli.shared.training_options import QLearningBaseOptions
-from wcsim.config import RunConfig, resolve
+from wcsim.config import resolve
 from wcsim.core.files import lock_run_folder
 from wcsim.core.own_folder import create_runtime_folder
 from wcsim.errors import ConfigError, InterruptedRunError, ServerGoneError
@@ -92,9 +92,16 @@ def run(words: list[str]) -> int:
     out = options.out or Path("runs") / f"joined-{network}-{options.seed}"
     require_writable_folder("--out", out)
     info = RunInfo(seed=options.seed, rewards=options.reward, command=("wcsim", "join", *words))
-    order = ClientProcessSpec(
-        join=_request(options, config), config=config, out=str(out), info=info
+    request = SeatRequest(
+        endpoint=options.endpoint,
+        name=options.name or client_name_from_network(config.learn.network),
+        claim=secrets.token_hex(16),
+        spec=seat_spec_from_env(config.env),
+        seat=ANY_SEAT if options.seat is None else options.seat,
+        keys="" if options.keys is None else str(options.keys.absolute()),
+        patience=Patience(reconnect_s=options.wait),
     )
+    order = ClientProcessSpec(join=request, config=config, out=str(out), info=info)
     if options.supervise:
         _supervised(order, options.resume)
     else:
@@ -180,16 +187,3 @@ def _launched(order: ClientProcessSpec, resume: bool, beside: Path) -> None:
         raise InterruptedRunError(
             f"{stopped}; {out} holds the rest; the same command with --resume goes on"
         )
-
-
-def _request(options: _Options, config: RunConfig) -> SeatRequest:
-    env = config.env
-    return SeatRequest(
-        endpoint=options.endpoint,
-        name=options.name or client_name_from_network(config.learn.network),
-        claim=secrets.token_hex(16),
-        spec=seat_spec_from_env(env),
-        seat=ANY_SEAT if options.seat is None else options.seat,
-        keys="" if options.keys is None else str(options.keys.absolute()),
-        patience=Patience(reconnect_s=options.wait),
-    )

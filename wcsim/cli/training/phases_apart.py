@@ -145,7 +145,11 @@ def _choose(
     log.add("first_phase_done", by=by)
     try:
         with lock_run_folder(run.out):
-            figures = _followed(run) if suite is None else _tested(options, run, suite, by)
+            if suite is None:
+                # KPI 1 of each client's own choice at the end of its first phase.
+                figures = {each.name: {KPI1: kpi1_of(run.out / each.name)} for each in run.clients}
+            else:
+                figures = _tested(options, run, suite, by)
             for client in run.clients:
                 eye, learn = client.config.eye, client.config.learn
                 try:
@@ -178,11 +182,6 @@ def _choose(
     log.add("chosen", who=best)
     _show(figures, best)
     return best
-
-
-def _followed(run: ResolvedGroupRun) -> Figures:
-    """KPI 1 of each client's own choice at the end of its first phase, over 2,000 steps."""
-    return {client.name: {KPI1: kpi1_of(run.out / client.name)} for client in run.clients}
 
 
 def _tested(

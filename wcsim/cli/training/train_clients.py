@@ -70,7 +70,14 @@ def resolve_clients(options: TrainClientsOptions) -> tuple[ResolvedClient, ...]:
     if len(networks) > MOST_CLIENTS:
         raise ConfigError(f"{len(networks)} clients; expected at most {MOST_CLIENTS}")
     names = make_client_names(networks)
-    files = _files(options.config_for, names)
+    files = {}
+    for text in options.config_for:
+        name, equals, path = text.partition("=")
+        if not equals or name not in names:
+            raise ConfigError(
+                f"--config-for {text!r}: expected NAME=FILE with a NAME of {', '.join(names)}"
+            )
+        files[name] = Path(path)
     learn: dict[str, object] = {"tensorboard": True} if options.tensorboard else {}
     if options.select_by is not None:
         learn["select_by"] = options.select_by
@@ -121,15 +128,3 @@ def make_client_names(networks: Sequence[str]) -> tuple[str, ...]:
         used.add(name)
         names.append(name)
     return tuple(names)
-
-
-def _files(config_for: Sequence[str], names: Sequence[str]) -> dict[str, Path]:
-    files = {}
-    for text in config_for:
-        name, equals, path = text.partition("=")
-        if not equals or name not in names:
-            raise ConfigError(
-                f"--config-for {text!r}: expected NAME=FILE with a NAME of {', '.join(names)}"
-            )
-        files[name] = Path(path)
-    return files

@@ -37,13 +37,6 @@ _MARKS: Final = {
 }  # kinds, by what they count
 
 
-def _distance(chair: FilmChair) -> float | None:
-    """Between the user's stick and the chair's, KPI 1's; None where one of them is not known."""
-    if chair.stick is None or chair.commanded is None:
-        return None
-    return min(math.dist(chair.stick, chair.commanded), MAX_DISTANCE)
-
-
 class _FilmTick(msgspec.Struct, frozen=True, array_like=True):
     """A frame with the sums of its chairs after it."""
 
@@ -156,7 +149,11 @@ class TickFilm:
         self._mark(chair, before.starting(happened))
         alone = (0 if chair.step == 1 else self._alone.get(seat, 0)) + chair.alone
         steps = chair.step - alone if chair.step >= 0 else before.steps + (not chair.alone)
-        after = before.plus(happened, None if chair.alone else _distance(chair), chair.speed_mps, steps)
+        # Between the user's stick and the chair's, KPI 1's; None where one of them is not known.
+        distance = None
+        if not (chair.alone or chair.stick is None or chair.commanded is None):
+            distance = min(math.dist(chair.stick, chair.commanded), MAX_DISTANCE)
+        after = before.plus(happened, distance, chair.speed_mps, steps)
         ends = chair.crashed or chair.truncated
         self._alone[seat], self._sums[seat] = (0, after.after_episode()) if ends else (alone, after)
 

@@ -49,37 +49,35 @@ class SessionRecorder:
     def __call__(self, record: DriveRecord) -> None:
         """Write it; a world's end is a file's end."""
         if isinstance(record, Note) and record.kind == EventKind.REBUILT:
-            self._end()
+            self.close()
             self._before = record.tick
             self._begin()
         elif self._header is not None:
             self._keep(record)
 
-    def close(self) -> None:
-        """The file is whole; a second call does nothing."""
-        self._end()
-
     # --- files ---
 
     def _begin(self) -> None:
         """Another world: what its file begins with, or why there is none."""
-        session = self._session
+        session, place = self._session, self._session.place
         beside = session.world.seats[0].profile
         self._file, self._waiting, self._kept = "", [], 0
-        if beside is None and not self._sits_in_scene():
+        # A recorded user beside the person may be the one of a generated scene, which is made again with it.
+        sits_in_scene = place.scene and not place.start.profile and session.profile == place.spec.profile
+        if beside is None and not sits_in_scene:
             self._stop(_RECORDED)
             return
         self._header = drive_header(
-            session.place.town,
-            session.place.config,
-            session.place.seed,
+            place.town,
+            place.config,
+            place.seed,
             policy=session.assistance.name,
             level="" if session.assistance.level is None else f"{session.assistance.level:g}",
-            episode=session.place.episode,
-            scene=session.place.scene,
+            episode=place.episode,
+            scene=place.scene,
         )
         sits = "" if beside is None else profile_to_json(beside)  # "": who sits in the scene, which is made again
-        self._waiting += first_inputs(replace(session.place.spec, profile=sits), session.place.seed)
+        self._waiting += first_inputs(replace(place.spec, profile=sits), place.seed)
         if not session.assistance.on:  # of what was switched before this world, its file would not know
             self._note_first(EventKind.ASSISTANCE, "off")
         if session.shape != (1.0, 1.0):
@@ -87,11 +85,6 @@ class SessionRecorder:
         if session.driver is DriverKind.SIMULATED:
             self._note_first(EventKind.DRIVER, session.driver.value)
         self._tell(RecorderStatus(on=True, told="Recording starts when you drive."))
-
-    def _sits_in_scene(self) -> bool:
-        """Whether the recorded user beside the person is the one of a generated scene, which is made again with it."""
-        place = self._session.place
-        return bool(place.scene) and not place.start.profile and self._session.profile == place.spec.profile
 
     def _open(self, header: Header) -> LogWriter:
         path = next(self._names, None)
@@ -139,11 +132,12 @@ class SessionRecorder:
 
     def _stop(self, why: str) -> None:
         """Nothing more is kept of this world; what was, is."""
-        self._end()
+        self.close()
         told = "Recording has stopped" if self._file else "This drive is not recorded"
         self._tell(RecorderStatus(on=False, file=self._file, told=f"{told}: {why}", log=f"not recording: {why}"))
 
-    def _end(self) -> None:
+    def close(self) -> None:
+        """The file is whole; a second call does nothing."""
         self._header = None
         if self._recorder is not None:
             recorder, self._recorder = self._recorder, None

@@ -25,7 +25,6 @@ from wcsim.drive.recording.study_plan import (
     StudyPart,
     StudyStep,
     answer_choices,
-    answer_column,
     append_row,
     order_words,
     read_rows,
@@ -101,7 +100,15 @@ def open_study(
     text = read_text(path, SETTINGS)
     file = parse(StudyFile, parse_toml(text, escape(path), SETTINGS), escape(path))
     digest = hashlib.sha256(text.encode()).hexdigest()
-    _require_named(file.policy, named, escape(path))
+    # Another policy than the file's is refused, and a class that would be loaded without being named again.
+    if named and named != file.policy:
+        told = f"{escape(path)} says policy = {escape(file.policy)!r}"
+        raise ConfigError(f"--policy {escape(named)} with --study: {told}; leave --policy out")
+    if parse_policy_name(file.policy).kind == "class" and not named:
+        raise ConfigError(
+            f"{escape(path)}: its policy is the class {escape(file.policy)}, and loading it runs its code; if you "
+            f"trust it, name it: --policy {shlex.quote(escape(file.policy))}"
+        )
     place_of_results = out or Path("studies") / file.name
     study = OpenStudy(file=file, sha256=digest, participant=participant, out=place_of_results, network=network)
     for place in (*file.places, *([file.practice_place] if file.practice_place else [])):
@@ -131,18 +138,6 @@ def study_start(file: StudyFile, place: StudyPlace, network: str) -> DriveStart:
     return replace(drives, town=place.town, profile=file.profile, seed=place.seed)
 
 
-def _require_named(policy: str, named: str, where: str) -> None:
-    """Raise ConfigError for another policy than the file's, or a class that is loaded without being named again."""
-    if named and named != policy:
-        told = f"{where} says policy = {escape(policy)!r}"
-        raise ConfigError(f"--policy {escape(named)} with --study: {told}; leave --policy out")
-    if parse_policy_name(policy).kind == "class" and not named:
-        raise ConfigError(
-            f"{where}: its policy is the class {escape(policy)}, and loading it runs its code; if you "
-            f"trust it, name it: --policy {shlex.quote(escape(policy))}"
-        )
-
-
 def _require_levels(study: OpenStudy, where: str) -> None:
     """Set every level once. Raises PolicyError or ConfigError for one that the policy does not have."""
     file = study.file
@@ -165,39 +160,6 @@ def _require_levels(study: OpenStudy, where: str) -> None:
 
 
 _COUNTED: Final = ("arrivals", "given_up", "crashes", "warnings", "interventions", "helps")
-
-
-def _block_row(study: OpenStudy, part: StudyPart, session: DriveSession, file: str, ended: str) -> Row:
-    """What was driven in a block.
-
-    Args:
-        study: The study, and who takes part.
-        part: The block, and where it stands.
-        session: The drive, at its end.
-        file: Of its recording.
-        ended: Why: "minutes", "arrivals", or "stopped" by the participant.
-    """
-    metrics, place = session.metrics, session.place
-    moving_s = metrics.moving_ticks * session.tick_s
-    return {
-        **_head(study, part.block.name),
-        "part": str(part.number),
-        "assistance": "on" if part.block.assistance else "off",
-        "level": "" if session.assistance.level is None else f"{session.assistance.level:g}",
-        "policy": session.assistance.name,
-        "town": place.town.name,
-        "seed": str(place.seed),
-        "episode": place.episode,
-        "recording": file,
-        "ended": ended,
-        "minutes": f"{session.counted_s / 60.0:.4f}",
-        "kpi1": "" if metrics.kpi1 is None else f"{metrics.kpi1:.5f}",
-        "kpi2": f"{metrics.kpi2:.2f}",
-        "distance_m": f"{session.way_m:.2f}",
-        "speed_mps": f"{session.way_m / moving_s:.4f}" if moving_s else "",
-        "overrulings": str(metrics.overrules),
-        **{name: str(getattr(metrics, name)) for name in _COUNTED},
-    }
 
 
 def _head(study: OpenStudy, block: str) -> dict[str, str]:
@@ -239,7 +201,15 @@ class StudyLead:
         done = {row["block"] for row in _participant_rows(study)}
         steps = remaining_steps(study.file, study.participant, done)
         parts = dict.fromkeys(step.part for step in steps if step.part is not None)
-        self._rows = {part.block.name: row for part in parts for row in self._left_over(part)}  # driven, not asked yet
+        # The figures of parts that were driven in a sitting before, whose questions were not answered.
+        self._rows = dict[str, Row]()
+        for part in parts:
+            path = self._result(part)
+            for row in read_rows(path, table_columns(study.file)):
+                if row["study_sha256"] == study.sha256[:12]:
+                    self._rows[part.block.name] = row
+            if part.block.name in self._rows:
+                hands.say(f"{part.block.name} was driven before; only its questions are left: {escape(path)}")
         self._steps = remaining_steps(study.file, study.participant, done, self._rows)
         self._at, self._view = 0, dict[str, Any]()
         self._session: DriveSession | None = None
@@ -303,7 +273,7 @@ class StudyLead:
                 raise WcsimError(
                     f"got answer {number} to question {question.name}; expected 0 to {len(words) - 1}: reload the page"
                 )
-            told[answer_column(question)] = "" if number == _NO_ANSWER else words[number]
+            told[question.column] = "" if number == _NO_ANSWER else words[number]
         part = self.step.part
         self._write(_head(self._study, END) if part is None else self._rows[part.block.name], told)
         if part is not None:
@@ -374,12 +344,35 @@ class StudyLead:
         self._show()
 
     def _finish(self, ended: str) -> None:
-        """A part has been driven: keep its figures, until the answers to it are there."""
+        """A part has been driven: keep its figures, until the answers to it are there.
+
+        Why it has `ended`: "minutes", "arrivals", or "stopped" by the participant.
+        """
         session, part = self._session, self.step.part
         if session is None or part is None:
             return
-        failed = "yes" if self._failed else "no"
-        row = {**_block_row(self._study, part, session, self._file, ended), "policy_failed": failed}
+        metrics, place = session.metrics, session.place
+        moving_s = metrics.moving_ticks * session.tick_s
+        row: Row = {
+            **_head(self._study, part.block.name),
+            "part": str(part.number),
+            "assistance": "on" if part.block.assistance else "off",
+            "level": "" if session.assistance.level is None else f"{session.assistance.level:g}",
+            "policy": session.assistance.name,
+            "town": place.town.name,
+            "seed": str(place.seed),
+            "episode": place.episode,
+            "recording": self._file,
+            "ended": ended,
+            "minutes": f"{session.counted_s / 60.0:.4f}",
+            "kpi1": "" if metrics.kpi1 is None else f"{metrics.kpi1:.5f}",
+            "kpi2": f"{metrics.kpi2:.2f}",
+            "distance_m": f"{session.way_m:.2f}",
+            "speed_mps": f"{session.way_m / moving_s:.4f}" if moving_s else "",
+            "overrulings": str(metrics.overrules),
+            **{name: str(getattr(metrics, name)) for name in _COUNTED},
+            "policy_failed": "yes" if self._failed else "no",
+        }
         self._session, self._rows[part.block.name] = None, row
         self._hands.close()
         try:
@@ -391,15 +384,6 @@ class StudyLead:
         except WcsimError as error:
             self._hands.say(f"{error}; the results of this part: {', '.join(map(str, row.values()))}")
         self._next()
-
-    def _left_over(self, part: StudyPart) -> tuple[Row, ...]:
-        """The figures of a part that was driven in a sitting before, whose questions were not answered."""
-        path = self._result(part)
-        rows = read_rows(path, table_columns(self._study.file))
-        found = tuple(row for row in rows if row["study_sha256"] == self._study.sha256[:12])[-1:]
-        if found:
-            self._hands.say(f"{part.block.name} was driven before; only its questions are left: {escape(path)}")
-        return found
 
     def _forget(self, part: StudyPart) -> None:
         """The figures are in the table: who drives this part anew, as after a pilot, is not taken for having driven."""

@@ -141,12 +141,7 @@ def remaining_steps(
 
 def table_columns(study: StudyFile) -> tuple[str, ...]:
     """The columns of a study's table."""
-    return (*COLUMNS, *(answer_column(question) for question in study.questions))
-
-
-def answer_column(question: StudyQuestion) -> str:
-    """The column of a question's answers."""
-    return f"answer_{question.name}"
+    return (*COLUMNS, *(question.column for question in study.questions))
 
 
 def answer_choices(question: StudyQuestion) -> tuple[str, ...]:
@@ -235,7 +230,7 @@ def step_view(study: StudyFile, step: StudyStep, number: int, participant: int) 
     if step.kind is StepKind.WELCOME:
         told, button = (*study.told, _SAVED), "Continue"
     elif step.kind is StepKind.READ and part is not None:
-        title, told, button = part.block.title, (*part.block.told, _how_long(step)), "Start driving"
+        title, told, button = part.block.title, (*part.block.told, _how_long(part.block)), "Start driving"
     elif step.kind is StepKind.DRIVE and part is not None:
         title = part.block.title
     elif step.kind is StepKind.ASK:
@@ -246,7 +241,11 @@ def step_view(study: StudyFile, step: StudyStep, number: int, participant: int) 
         told = ("Your answers are saved. Rest as long as you like.",)
     else:
         title, told = "This is the end", (*study.thanks, "Everything is saved.")
-    questions = step_questions(study, step) if step.kind is StepKind.ASK else ()
+    questions = []
+    for question in step_questions(study, step) if step.kind is StepKind.ASK else ():
+        # `low` and `high` are what the first and the last answer mean, of a scale.
+        shown = question.model_dump(include={"name", "asks", "low", "high"})
+        questions.append({**shown, "answers": answer_choices(question)})
     return {
         "step": number,
         "kind": step.kind,
@@ -259,23 +258,14 @@ def step_view(study: StudyFile, step: StudyStep, number: int, participant: int) 
         "wait_s": 0.0,  # until it may
         "left_s": None,  # of a drive
         "arrivals_left": None,
-        "questions": [_question(question) for question in questions],
+        "questions": questions,
         "trouble": "",  # what went wrong, and what to do
     }
 
 
-def _how_long(step: StudyStep) -> str:
-    if step.part is None:
-        return ""
-    block = step.part.block
+def _how_long(block: StudyBlock) -> str:
     minutes = f"{block.minutes:g} minute{'' if block.minutes == 1.0 else 's'}"
     if block.arrivals is None:
         return f"You drive for {minutes}. You can pause at any time; pauses do not count."
     places = pluralize(block.arrivals, "place")
     return f"You drive until you have arrived at {places}, for at most {minutes}. You can pause at any time."
-
-
-def _question(question: StudyQuestion) -> dict[str, Any]:
-    """A question and its answers; `low` and `high` are what the first and the last mean, of a scale."""
-    shown = question.model_dump(include={"name", "asks", "low", "high"})
-    return {**shown, "answers": answer_choices(question)}

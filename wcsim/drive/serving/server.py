@@ -325,10 +325,13 @@ class DriveServer:
         app.router.add_get("/socket", self._meet, allow_head=False)
         app.router.add_get("/{name:.*}", self._page)
         app.on_shutdown.append(self._audience.close)
+        # What a request breaks is a line, as whoever finds the address could fill a terminal.
+        logger = logging.getLogger("wcsim.drive.aiohttp")
+        logger.addFilter(_in_a_line)
         runner = web.AppRunner(
             app,
             access_log=None,
-            logger=_logger(),
+            logger=logger,
             keepalive_timeout=_END_S,  # counts from the beginning: who connects and asks nothing is gone after it
             shutdown_timeout=_SOON_S,
             auto_decompress=False,  # of bodies, which nobody reads
@@ -338,7 +341,10 @@ class DriveServer:
             runner.server.request_factory = partial(app._make_request, _cls=_Request)
         try:
             await _listen_at(runner, self._host, self._port)
-            self._say(f"{self._start.word} at {self._address(runner)}  (Ctrl-C to stop)")
+            host = f"[{self._host}]" if ":" in self._host else self._host
+            token = f"?token={self._access.token}" if self._access.token else ""
+            address = f"http://{host}:{runner.addresses[0][1]}/{token}"
+            self._say(f"{self._start.word} at {address}  (Ctrl-C to stop)")
             self._say(self._start.begins)
             async with _running(self._start, self._words, self._told) as listening:
                 await asyncio.wait([listening])
@@ -348,12 +354,6 @@ class DriveServer:
             await runner.cleanup()
         what = f"the {self._start.word}'s process"
         raise WorkersError(f"{what} has ended; the messages above say why: start it again")
-
-    def _address(self, runner: web.AppRunner) -> str:
-        port = runner.addresses[0][1]
-        host = f"[{self._host}]" if ":" in self._host else self._host
-        token = f"?token={self._access.token}" if self._access.token else ""
-        return f"http://{host}:{port}/{token}"
 
     # --- what a browser reads ---
 
@@ -485,13 +485,6 @@ class _Request(web.Request):
 
     async def _prepare_hook(self, response: web.StreamResponse) -> None:
         response.headers.popall("Server", None)
-
-
-def _logger() -> logging.Logger:
-    """Of aiohttp: what a request breaks there is a line, as whoever finds the address could fill a terminal."""
-    logger = logging.getLogger("wcsim.drive.aiohttp")
-    logger.addFilter(_in_a_line)
-    return logger
 
 
 def _in_a_line(record: logging.LogRecord) -> bool:

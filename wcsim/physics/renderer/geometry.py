@@ -155,9 +155,10 @@ def _walking_axes(vertices_W_m: F32, faces: I32, face_class: U8, thing: I64) -> 
     place = _welded(vertices_W_m)
     count = int(place.max(initial=0)) + 1
     crossing, road = face_class == ClassId.CROSSWALK, face_class == ClassId.ROAD
-    start, end = place[faces], place[np.roll(faces, -1, axis=1)]  # (F, 3 edges)
+    following = np.roll(faces, -1, axis=1)
+    start, end = place[faces], place[following]  # (F, 3 edges)
     borders = np.isin(end * count + start, (start * count + end)[road]) & crossing[:, None]
-    step = (vertices_W_m[np.roll(faces, -1, axis=1)] - vertices_W_m[faces])[:, :, :2].astype(np.float64)
+    step = (vertices_W_m[following] - vertices_W_m[faces])[:, :, :2].astype(np.float64)
     pull = step[..., 0] + 1j * step[..., 1]
     pull = np.where(borders, pull * pull / np.maximum(np.abs(pull), 1e-9), 0.0)  # twice the angle: an edge has no sign
     total = np.zeros(int(thing.max(initial=0)) + 1, np.complex128)
@@ -206,7 +207,7 @@ class GeometryStore:
     def global_faces(self) -> I32:
         """Faces (F, 3) that index the vertices as a whole."""
         start = np.repeat(self.arrays.chunk_vertices[:-1], np.diff(self.arrays.chunk_faces))
-        return np.asarray(self.arrays.faces + start[:, None], np.int32)
+        return self.arrays.faces + start[:, None]
 
 
 def _kerb_stones(mesh: StreetMesh) -> StreetMesh:

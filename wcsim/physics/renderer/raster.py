@@ -8,7 +8,6 @@ import numpy as np
 
 from wcsim.core.jit import compile_fast_kernel
 from wcsim.physics.buffers import Images, new_images
-from wcsim.physics.renderer import kernels
 from wcsim.physics.renderer.base import Pinhole, check_images
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances, actor_instances
@@ -26,6 +25,7 @@ from wcsim.physics.renderer.kernels import (
     U32Array,
     View,
     cull,
+    draw,
     draw_chunk,
 )  # fmt: skip
 from wcsim.physics.renderer.models.catalog import actor_templates
@@ -53,9 +53,9 @@ class RasterRenderer:
         check_images(camera, out)
         wordless = out.rgb is None and out.instance is None
         words = np.empty((0, 0) if wordless else out.class_id.shape, np.uint32)
-        target = kernels.Target(out.depth_m, out.class_id, words)
+        target = Target(out.depth_m, out.class_id, words)
         T_CW = np.ascontiguousarray(T_CW, np.float64)
-        view = kernels.View(
+        view = View(
             T_CW=T_CW,
             focal_px=float(camera.focal_px),
             near_m=float(camera.near_m),
@@ -68,10 +68,10 @@ class RasterRenderer:
             shown = np.ones(len(instances), np.bool_)
         # A word holds a row or a colour: for both, everything is drawn twice.
         if out.instance is not None:
-            kernels.draw(self._street, self._models, actors, shown, view, self._cull, True, target)
+            draw(self._street, self._models, actors, shown, view, self._cull, True, target)
             _write_instances(words, out.class_id, out.instance)
         if out.instance is None or out.rgb is not None:
-            kernels.draw(self._street, self._models, actors, shown, view, self._cull, False, target)
+            draw(self._street, self._models, actors, shown, view, self._cull, False, target)
         if out.rgb is not None:
             _draw_marks(self._marks, view, target)
             T_WC = _inverse(view.T_CW)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.core.closing import ClosingContextBase
-from wcsim.core.frames import Quat, quaternion_from_ypr
+from wcsim.core.frames import quaternion_from_ypr
 from wcsim.errors import PhysicsError
 from wcsim.physics.buffers import Images
 from wcsim.physics.bullet import Bullet, pybullet
@@ -98,14 +98,11 @@ class TinyRenderer(ClosingContextBase):
             )
             for body in pool[taken]:
                 self._instance_of[body] = i
-                self._move(body, instances.p_W_m[i].tolist(), turn)
+                self._bullet.resetBasePositionAndOrientation(body, instances.p_W_m[i].tolist(), turn)
         for model, pool in self._pool.items():
             for bodies in pool[self._used.get(model, 0) :]:
                 for body in bodies:
-                    self._move(body, list(_PARKED_M), (0.0, 0.0, 0.0, 1.0))
-
-    def _move(self, body: int, p_W_m: list[float], q: Quat) -> None:
-        self._bullet.resetBasePositionAndOrientation(body, p_W_m, q)
+                    self._bullet.resetBasePositionAndOrientation(body, list(_PARKED_M), (0.0, 0.0, 0.0, 1.0))
 
     def _actor(self, model: _Model) -> tuple[int, ...]:
         """Bodies of one new actor, one a class, and one a colour of what shines."""
@@ -145,14 +142,14 @@ def corner_shift(T_CW: F64, focal_px: float) -> F64:
     """A camera matrix (3, 4) that makes a renderer of pixel centres sample where TinyRenderer does."""
     shear = np.eye(3)
     shear[0, 2], shear[1, 2] = 0.5 / focal_px, -0.5 / focal_px
-    return np.asarray(shear @ T_CW, np.float64)
+    return shear @ T_CW
 
 
 def view_matrix(T_CW: F64) -> list[float]:
     """OpenGL's view matrix, column by column: its camera looks along -z and y is up."""
     view = np.eye(4)
     view[:3] = T_CW * np.array([1.0, -1.0, -1.0])[:, None]
-    return [float(value) for value in view.T.ravel()]
+    return view.T.ravel().tolist()
 
 
 def projection_matrix(camera: Pinhole) -> list[float]:
@@ -163,4 +160,4 @@ def projection_matrix(camera: Pinhole) -> list[float]:
     matrix[1, 1] = 2.0 * camera.focal_px / camera.height_px
     matrix[2, 2], matrix[2, 3] = -(far + near) / (far - near), -2.0 * far * near / (far - near)
     matrix[3, 2] = -1.0
-    return [float(value) for value in matrix.T.ravel()]
+    return matrix.T.ravel().tolist()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from wcsim.core.frames import LEVEL, Rotation, Vec3
-from wcsim.types import ActorState, PlantState, SignalState
+from wcsim.types import F64, ActorState, PlantState, SignalState
 
 if TYPE_CHECKING:
     from wcsim.physics.buffers import SeatBuffers
@@ -71,6 +71,14 @@ class Sensor:
 
     def sample(self, motion: BodyMotion) -> None:
         """Take the motion after a physics step into the tick."""
+
+    def sample_rows(self, rows: F64, wheel_rad: tuple[float, float]) -> None:
+        """Take a whole tick: rows (n, 15) of rotation, velocity and turn rate, as in `BodyMotion`.
+
+        `wheel_rad` is how far the drive wheels have turned at its end.
+        """
+        for row in rows.tolist():
+            self.sample(BodyMotion(tuple(row[:9]), tuple(row[9:12]), tuple(row[12:]), wheel_rad))
 
     def end_tick(self, noise_key: int | None) -> Any:
         """What it felt in the tick, which ends; `noise_key` says which noise, None: none. None when it has to look."""

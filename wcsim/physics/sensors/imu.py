@@ -219,6 +219,11 @@ class Imu(Sensor):
         self._rows += motion.v_com_W_mps
         self._rows += motion.w_W_radps
 
+    def sample_rows(self, rows: F64, wheel_rad: tuple[float, float]) -> None:
+        """See `Sensor`."""
+        self._rotation = cast(Rotation, tuple(rows[-1, :9].tolist()))
+        self._rows += rows.ravel().tolist()
+
     def end_tick(self, noise_key: int | None) -> ImuFrame:
         """Close the tick: means, peaks and tilt of its samples; `noise_key` (64 bits) says which noise, None: none.
 

@@ -11,7 +11,7 @@ from wcsim.errors import ConfigError
 from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys, Sensor, Surroundings
 from wcsim.physics.sensors.imu import Imu
 from wcsim.physics.sensors.odometry import Odometry
-from wcsim.types import CameraFrame, Reading, SensorFrame
+from wcsim.types import F64, CameraFrame, Reading, SensorFrame
 
 
 class _SeatCameras(Sensor):
@@ -89,6 +89,11 @@ class SensorSet:
         """Take the motion after a physics step into the tick."""
         for sample in self._samples:
             sample(motion)
+
+    def sample_rows(self, rows: F64, wheel_rad: tuple[float, float]) -> None:
+        """Take a whole tick, see `Sensor`."""
+        for sensor in self._sensors.values():
+            sensor.sample_rows(rows, wheel_rad)
 
     def end_tick(self, noise: NoiseKeys | None) -> None:
         """Close the tick; noise only with keys. Raises PhysicsError when the motion left the finite numbers."""

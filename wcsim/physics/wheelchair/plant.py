@@ -84,7 +84,7 @@ def _support(file: PlantFile) -> Iterator[str]:
         )
 
 
-def _springs(file: PlantFile) -> Iterator[str]:
+def _springs(file: PlantSpec) -> Iterator[str]:
     """Sprung casters must neither lift the drive wheels off the ground nor lean on their stops."""
     sprung = [(number, pair, pair.arm) for number, pair in enumerate(file.casters) if pair.arm is not None]
     push_N = sum(2.0 * arm.preload_N for _, _, arm in sprung)
@@ -94,14 +94,10 @@ def _springs(file: PlantFile) -> Iterator[str]:
             f"the arms' preload_N push with {push_N:.0f} N together; expected at most {_MOST_PUSH:.0%} of the weight, "
             f"{_MOST_PUSH * weight_N:.0f} N, or the drive wheels hang in the air"
         )
-    if len(sprung) < len(file.casters):  # the rigid ones hold it level
+    balance = file.spring_balance()
+    if balance is None:
         return
-    moment_Nm, stiffness_Nm = weight_N * file.mass.com_x_m, 0.0
-    for _, pair, arm in sprung:
-        x_m = pair.swivel_x_m - pair.trail_m
-        unsprung_N = (pair.mass_kg + pair.fork_mass_kg + arm.mass_kg) * GRAVITY_MPS2
-        moment_Nm -= 2.0 * x_m * (arm.preload_N + unsprung_N)
-        stiffness_Nm += 2.0 * arm.stiffness_Npm * x_m * x_m
+    moment_Nm, stiffness_Nm, _ = balance
     for number, pair, arm in sprung:
         up_m = moment_Nm / stiffness_Nm * (pair.swivel_x_m - pair.trail_m)
         if not -arm.down_m < up_m < arm.up_m:
@@ -283,6 +279,22 @@ class PlantSpec(PlantFile):
                 sides = [(i, k) for i in (-0.5, 0.0, 0.5) for k in (-0.5, 0.0, 0.5) if i or k]
                 found += [(x + i * (length + 2.0 * MORE_M), y + k * (width + 2.0 * MORE_M), takes_m) for i, k in sides]
         return tuple(found)
+
+    def spring_balance(self) -> tuple[float, float, float] | None:
+        """Moment of the weight on the springs, and their stiffness and damping against a pitch, all in Nm.
+
+        None for a chair that a rigid caster holds level.
+        """
+        moment_Nm, stiffness_Nm, damping_Nms = self.whole_kg * GRAVITY_MPS2 * self.mass.com_x_m, 0.0, 0.0
+        for pair in self.casters:
+            if pair.arm is None:
+                return None
+            x_m = pair.swivel_x_m - pair.trail_m
+            unsprung_N = (pair.mass_kg + pair.fork_mass_kg + pair.arm.mass_kg) * GRAVITY_MPS2
+            moment_Nm -= 2.0 * x_m * (pair.arm.preload_N + unsprung_N)
+            stiffness_Nm += 2.0 * pair.arm.stiffness_Npm * x_m * x_m
+            damping_Nms += 2.0 * pair.arm.damping_Nspm * x_m * x_m
+        return moment_Nm, stiffness_Nm, damping_Nms
 
     @property
     def drive_inertia_kgm2(self) -> Vec3:

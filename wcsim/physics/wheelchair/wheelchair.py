@@ -3,20 +3,19 @@
 Once a tick `command`; each substep `before_step`, `Engine.step`, `after_step`; at the end of the tick `end_tick`, and
 then `state`, `imu` and `contacts` answer.
 
-`_WheelTrack` knows where the wheels have been in the last seconds, and whether one fell off a kerb. Such a fall is a
-crash of its own, though no part of the chair but wheels may touch anything.
+On a plane with nothing in reach it may go through a tick without the engine: `can_roll`, `rolled`, `roll`.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from wcsim.config import ChairConfig, ImuConfig
-from wcsim.core.constants import KERB_STEP_M
 from wcsim.core.frames import (
+    LEVEL,
     Quat,
     Rotation,
     Vec3,
@@ -28,9 +27,8 @@ from wcsim.core.frames import (
     rotate_vector_inverse,
     rpy_from_matrix,
 )
-from wcsim.core.jit import compile_exact_kernel
 from wcsim.errors import PhysicsError
-from wcsim.physics.bullet import Bullet, pybullet
+from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import PARK_Z_M, SUSPECT_N, BodyTag, Engine, Role
 from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys
 from wcsim.physics.sensors.camera import CameraRig
@@ -39,114 +37,9 @@ from wcsim.physics.wheelchair import drive_controller
 from wcsim.physics.wheelchair.contacts import MOST_IN_A_ROW, ContactLog, ContactPoint, Motion
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.physics.wheelchair.plant_body import FRAME, ChairBody, check_springs, dressed, load_body, urdf
-from wcsim.types import F64, Bool, Contact, Ground, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
-
-SAMPLE_S: Final = 0.05
-KEPT_S: Final = 2.5  # longer than the longest tick and all that is asked of the time before it
-_PLACE: Final = 0  # of a link's centre of mass, among what PyBullet says of a link
-
-
-class _WheelTrack:
-    """Takes a sample every 0.05 s, whatever the tick and the physics step are.
-
-    Args:
-        body: The chair in PyBullet.
-        wheels: Its links that are wheels or casters.
-        step_s: Physics step.
-        bullet: Where it is.
-    """
-
-    def __init__(self, body: int, wheels: Iterable[int], step_s: float, bullet: Bullet) -> None:
-        self._body, self._wheels, self._bullet = body, tuple(wheels), bullet
-        self.set_step(step_s)
-        self._kept = round(KEPT_S / (self._every * step_s))
-        # each sample is written twice, so that the last `_kept` ones always lie in one piece
-        self._p_W_m = np.zeros((2 * self._kept, len(self._wheels), 3))
-        self._speed_mps = np.zeros(2 * self._kept)
-        self.clear()
-
-    def set_step(self, step_s: float) -> None:
-        """Take the physics steps to be so long from now on."""
-        self._every = max(1, round(SAMPLE_S / step_s))
-        self._steps = 0
-
-    def clear(self) -> None:
-        """Forget everything: the chair is put to another place."""
-        self._steps = self._count = 0
-
-    def after_step(self, v_W_mps: tuple[float, float, float]) -> None:
-        """Count a physics step, after which the chair moves at this velocity."""
-        self._steps += 1
-        if self._steps % self._every:
-            return
-        links = self._bullet.getLinkStates(self._body, self._wheels)
-        places_W_m = [link[_PLACE] for link in links]
-        at = self._count % self._kept
-        for row in (at, at + self._kept):
-            self._p_W_m[row] = places_W_m
-            self._speed_mps[row] = math.hypot(v_W_mps[0], v_W_mps[1])
-        self._count += 1
-
-    def samples(self) -> tuple[F64, F64]:
-        """Middles of the wheels in W (n, W, 3) and the chair's speed over the ground (n,), the oldest first.
-
-        They are views, and change with the next sample.
-        """
-        first = self._count % self._kept if self._count > self._kept else 0
-        last = first + min(self._count, self._kept)
-        return self._p_W_m[first:last], self._speed_mps[first:last]
-
-
-WITHIN_S: Final = 0.3  # a wheel that sinks for longer is let down
-FASTER_MPS: Final = 0.3  # a slower chair feels its way down
-AFTER_EDGE_S: Final = 1.0  # a slow wheel rolls over the edge of a kerb for so long before it falls
-_SOFT: Final = 2  # samples that the edge of a kerb takes, which the raster's cells may cut in two
-_HAIR_M: Final = 1e-6  # heights of the raster are whole centimetres
-
-
-def fell(p_W_m: F64, speed_mps: F64, ground: Ground) -> bool:
-    """Whether a wheel fell off a kerb while the chair was moving.
-
-    It sank more than a wheel takes, within 0.3 s, and just before it had rolled over an edge of the ground as high as
-    that. The edge tells a fall from a wheel that bounces, and from a ramp that a fast chair rolls down; the heights are
-    those above the land, so that steep land is no edge.
-
-    Args:
-        p_W_m: Middles of the wheels (n, W, 3), a sample every `SAMPLE_S`, the oldest first.
-        speed_mps: The chair's speed over the ground (n,).
-        ground: The street from above.
-    """
-    sank = np.zeros(p_W_m.shape[:2], np.bool_)
-    # Heights of the raster are looked up only where a wheel sank, which is hardly ever.
-    if not _sank(p_W_m, speed_mps, round(WITHIN_S / SAMPLE_S), sank):
-        return False
-    return bool((sank & _after_edge(ground.raised_at(p_W_m))).any())
-
-
-@compile_exact_kernel
-def _sank(p_W_m: F64, speed_mps: F64, window: int, sank: Bool) -> bool:
-    """Note in `sank` (n, W) where a wheel is that much lower than in the samples before, when the chair was fast."""
-    found = False
-    for at in range(len(speed_mps)):
-        for before in range(max(0, at - window), at):
-            # The speed before the drop counts: after a fall the chair may stand.
-            if speed_mps[before] > FASTER_MPS:
-                for wheel in range(p_W_m.shape[1]):
-                    if p_W_m[before, wheel, 2] - p_W_m[at, wheel, 2] > KERB_STEP_M:
-                        sank[at, wheel] = found = True
-    return found
-
-
-def _after_edge(raised_m: F64) -> Bool:
-    """(n, W) where a wheel went down an edge of the ground within the last second."""
-    edge = np.zeros(raised_m.shape, np.bool_)
-    for back in range(1, _SOFT + 1):
-        edge[back:] |= raised_m[:-back] - raised_m[back:] > KERB_STEP_M + _HAIR_M
-    after = edge.copy()
-    for back in range(1, round(AFTER_EDGE_S / SAMPLE_S) + 1):
-        after[back:] |= edge[:-back]
-    return after
-
+from wcsim.physics.wheelchair.rolling import Plane, RolledTick, RollingPlant
+from wcsim.physics.wheelchair.wheel_track import WheelTrack
+from wcsim.types import F64, Contact, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
 
 LEVEL_M: Final = 0.003  # ground that differs less under the wheels is level
 _PLACE_LIFT_M: Final = 0.001  # the street's collision margin
@@ -184,6 +77,7 @@ class Wheelchair:
         tick_s: float = 0.1,
     ) -> None:
         self.seat: Final = seat
+        self._aside_m: Vec3 = (_PARK_STEP_M * seat, 0.0, PARK_Z_M)
         self._engine = engine
         self._chair = chair
         self._coasted = self._ghosts = 0
@@ -191,6 +85,9 @@ class Wheelchair:
         self._contacts: tuple[Contact, ...] = ()
         self._joystick = Joystick(0.0, 0.0)
         self._state: PlantState | None = None
+        self._rotation: Rotation = LEVEL
+        self._joints: tuple[tuple[Any, ...], ...] = ()
+        self._rolls = self._waking = False
         spec = plant_spec(chair)
         self._mount = Mount(
             seat=seat,
@@ -253,7 +150,52 @@ class Wheelchair:
         self.wheels_m = spec.wheels_m()  # see `PlantSpec`
         self._setting = drive_controller.settings(self._chair, spec, engine.step_s)
         self._memory = drive_controller.new_state()
-        self._track = _WheelTrack(body.id, body.tyres, engine.step_s, engine.bullet)
+        self._track = WheelTrack(body.id, body.tyres, engine.step_s, engine.bullet)
+        joint_of = {name: body.joints.index(link) for name, link in body.links.items() if link in body.joints}
+        self._rolling = RollingPlant.of(spec, self._chair, joint_of)
+
+    def can_roll(self, plane: Plane) -> bool:
+        """Whether it may roll over that plane without the engine, where nothing is in reach."""
+        free = not self._parked and not self._coasted
+        return free and self._rolling.can_roll(self.state(), self._rotation, plane)
+
+    def rolled(self, plane: Plane, steps: int) -> RolledTick:
+        """What a tick of so many steps over that plane would lead to, without the engine."""
+        now = Motion(self._p_com_W_m, self._q_WB, self._v_W_mps, self._w_W_radps, self._joints)
+        drive = self._memory, self._setting, self._joystick
+        return self._rolling.tick(now, plane, *drive, steps, self._engine.step_s)
+
+    def roll(self, tick: RolledTick) -> None:
+        """Go through a tick as `rolled` says; the body in the engine lies aside."""
+        if not self._rolls:
+            self._rolls = True
+            body, bullet = self._body.id, self._engine.bullet
+            bullet.resetBasePositionAndOrientation(body, self._aside_m, quaternion_from_ypr(0.0))
+            bullet.resetBaseVelocity(body, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+            # A motor that turns would wake it.
+            self._set_motors(_MOTORS_OFF)
+            self._wake(False)
+        self._p_com_W_m, self._q_WB, self._v_W_mps, self._w_W_radps, joints = tick.motion
+        self._joints = tuple(joints)
+        self._rotation = matrix_from_quaternion(self._q_WB)
+        self._memory[:] = tick.memory
+        self._state = None
+        self.sensors.sample_rows(tick.rows, (joints[0][0], joints[1][0]))
+        self._track.take(tick.hubs_W_m, np.hypot(tick.rows[:, 9], tick.rows[:, 10]))
+
+    def stop_rolling(self) -> None:
+        """Be in the engine again, moving as it does now."""
+        if not self._rolls:
+            return
+        self._rolls = False
+        body, bullet = self._body, self._engine.bullet
+        bullet.resetBasePositionAndOrientation(body.id, self._p_com_W_m, self._q_WB)
+        bullet.resetBaseVelocity(body.id, self._v_W_mps, self._w_W_radps)
+        for index, (place, rate, *_) in zip(body.joints, self._joints, strict=True):
+            bullet.resetJointState(body.id, index, place, rate)
+        self._wake(True)
+        # Bullet wakes a body one step late, and takes its speed in that step.
+        self._waking = True
 
     @property
     def parked(self) -> bool:
@@ -263,6 +205,8 @@ class Wheelchair:
     @property
     def hanging(self) -> int:
         """How many of its wheels touch nothing at the moment."""
+        if self._rolls:
+            return 0
         touching = {point[3] for point in self._engine.bullet.getContactPoints(bodyA=self._body.id)}
         return sum(link not in touching for link in self._body.tyres)
 
@@ -293,9 +237,10 @@ class Wheelchair:
 
     def park(self) -> None:
         """Stand far below the street, asleep."""
-        self._pose((_PARK_STEP_M * self.seat, 0.0, PARK_Z_M), quaternion_from_ypr(0.0))
+        self._pose(self._aside_m, quaternion_from_ypr(0.0))
         self._wake(False)
         self._parked = True
+        self._rolls = self._waking = False
 
     def remove(self) -> None:
         """Leave the engine for good; nothing but `parked` may be asked afterwards."""
@@ -321,7 +266,7 @@ class Wheelchair:
 
     def before_step(self) -> None:
         """Run the controllers and set the motors for the physics step to come."""
-        if self._parked:
+        if self._parked or self._rolls:
             return
         joints, stick = self._joints, self._joystick
         # Kept for after the step: contacts are judged by the motion before them, and a step may be taken back.
@@ -341,9 +286,12 @@ class Wheelchair:
 
     def after_step(self) -> None:
         """Sample the sensors and add up what was touched."""
-        if self._parked:
+        if self._parked or self._rolls:
             return
         body, engine = self._body, self._engine
+        if self._waking:
+            self._waking = False
+            self._before.coast(body.id, body.joints, engine.step_s, engine.bullet)
         ground = engine.rolling_ids
         touches: list[tuple[Any, ...]] = []
         suspects: list[tuple[Any, ...]] = []
@@ -410,7 +358,7 @@ class Wheelchair:
         return self._contacts
 
     def wheel_track(self) -> tuple[F64, F64]:
-        """Where its wheels were since it was placed, and its speed: see `_WheelTrack.samples`."""
+        """Where its wheels were since it was placed, and its speed: see `WheelTrack.samples`."""
         return self._track.samples()
 
     def _stance(self, p_W_m: Vec3, yaw_rad: float) -> tuple[float, Quat]:
@@ -472,7 +420,7 @@ class Wheelchair:
         self._p_com_W_m, self._q_WB = bullet.getBasePositionAndOrientation(body.id)
         self._v_W_mps, self._w_W_radps = bullet.getBaseVelocity(body.id)
         self._joints = bullet.getJointStates(body.id, body.joints)
-        self._rotation: Rotation = matrix_from_quaternion(self._q_WB)
+        self._rotation = matrix_from_quaternion(self._q_WB)
         self._state = None  # made when somebody asks
 
     def _coast_over_ghosts(self, suspects: list[tuple[Any, ...]], touches: list[tuple[Any, ...]]) -> None:

@@ -44,15 +44,15 @@ def pack_street(
         "edge_points_W_m": np.concatenate(
             [edge.points_W_m for edge in edges] or [np.zeros((0, 2))]
         ),
-        "edge_sizes": np.array([len(edge.points_W_m) for edge in edges], dtype=np.int64),
+        "edge_sizes": np.array([len(edge.points_W_m) for edge in edges], np.int64),
         "edge_numbers": np.array(
             [(edge.start, edge.end) for edge in edges], dtype=np.int64
         ).reshape(-1, 2),
-        "edge_width_m": np.array([edge.width_m for edge in edges], dtype=np.float64),
-        "edge_never_green": np.array([edge.never_green for edge in edges], dtype=np.bool_),
-        "edge_texts": np.array(texts, dtype=np.str_).reshape(-1, 4),
-        "head_tls": np.array([head.tls_id for head in signal_heads], dtype=np.str_),
-        "head_places": np.array(places, dtype=np.float64).reshape(-1, 6),
+        "edge_width_m": np.array([edge.width_m for edge in edges], np.float64),
+        "edge_never_green": np.array([edge.never_green for edge in edges], np.bool_),
+        "edge_texts": np.array(texts, np.str_).reshape(-1, 4),
+        "head_tls": np.array([head.tls_id for head in signal_heads], np.str_),
+        "head_places": np.array(places, np.float64).reshape(-1, 6),
     }
 
 

@@ -17,7 +17,7 @@ from shapely import LineString
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
-from wcsim.towns.ground.plane_geometry import Patches
+from wcsim.towns.ground.plane_geometry import Patches, left_of, units
 from wcsim.towns.ground.surfaces import Surfaces, walkable_lanes
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import Edge, Lane, LaneKind, Net
@@ -177,11 +177,9 @@ class _Painter:
         """A strip along a line, piece by piece; corners run counter-clockwise from above."""
         piece_m = _PIECE_M if self._relief.flat else _HILL_PIECE_M
         points_m = shapely.get_coordinates(shapely.segmentize(line, piece_m))
-        steps = np.diff(points_m, axis=0)
-        steps /= np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-9)
-        ahead = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]])
-        ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
-        aside = 0.5 * width_m * np.column_stack([-ahead[:, 1], ahead[:, 0]])
+        steps = units(np.diff(points_m, axis=0))
+        ahead = units(np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]]))
+        aside = 0.5 * width_m * left_of(ahead)
         left, right = points_m + aside, points_m - aside
         self._quads[mark].append(np.stack([right[:-1], right[1:], left[1:], left[:-1]], axis=1))
 

@@ -58,7 +58,7 @@ def build_ground(surfaces: Surfaces, kerbing: Kerbing, relief: Relief = FLAT) ->
 
     # 2. Classify the faces. A later area covers an earlier one; what no area covers is no ground.
     xy_m = shapely.get_coordinates(shapely.point_on_surface(faces))
-    classes = np.zeros(len(xy_m), dtype=np.uint8)
+    classes = np.zeros(len(xy_m), np.uint8)
     for area, class_id in (
         (surfaces.hull, ClassId.TERRAIN),
         (surfaces.paved, ClassId.GROUND),
@@ -206,7 +206,7 @@ class GridMaker:
         origin_m = np.array(box[:2])
         sides_m = zip(box[:2], box[2:], strict=True)
         cols, rows = (round((high - low) / CELL_M) for low, high in sides_m)
-        height_cm = np.zeros((rows, cols), dtype=np.uint8)
+        height_cm = np.zeros((rows, cols), np.uint8)
         ground_class = np.full((rows, cols), ClassId.VOID, dtype=np.uint8)
         near = ((self._low < box[2:]) & (self._high > box[:2])).all(axis=1)
         triangles = self._triangles[near]

@@ -30,13 +30,18 @@ def cross_z(a: F64, b: F64) -> F64:
 
 
 def left_of(way: F64) -> F64:
-    """A plane vector (2,) turned a quarter to the left."""
-    return np.array([-way[1], way[0]])
+    """Plane vectors (..., 2) turned a quarter to the left."""
+    return np.stack([-way[..., 1], way[..., 0]], axis=-1)
 
 
 def unit(way: F64) -> F64:
     """A plane vector (2,) of length 1 in the same direction; that of nothing stays nothing."""
     return np.asarray(way / max(1e-6, float(np.hypot(*way))))
+
+
+def units(ways: F64) -> F64:
+    """Plane vectors (n, 2) of length 1 in the same directions; those of nothing stay nothing."""
+    return np.asarray(ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9))
 
 
 def yaw_of(way: F64) -> float:

@@ -66,7 +66,15 @@ def fit_relief(net: Net) -> Relief:
         cell_m = CELL_M * step
         nodes = np.stack(np.meshgrid(np.arange(shape[1]), np.arange(shape[0])), axis=-1)
         guess_m = land.at(place + cell_m * nodes)
-        corners, share = _corners((p_m - place) / cell_m, shape)
+        # The three lattice corners around each point, and their shares; cells as in `Relief.at`.
+        at = (p_m - place) / cell_m
+        cell = np.clip(at.astype(int), 0, (shape[1] - 2, shape[0] - 2))
+        u, v = (np.clip(at - cell, 0.0, 1.0)).T
+        first = cell[:, 1] * shape[1] + cell[:, 0]
+        second = first + np.where(u >= v, 1, shape[1])
+        corners = np.stack([first, second, first + shape[1] + 1], axis=1).astype(np.int32)
+        big, small = np.maximum(u, v), np.minimum(u, v)
+        share = np.stack([1.0 - big, big - small, small], axis=1)
         fitted = _fitted(guess_m, cell_m, corners, share, z_m, weight_m)
         land = Relief(origin_W_m=place, cell_m=cell_m, z_m=fitted.astype(np.float32))
     return replace(land, z_m=np.round(land.z_m, 3))
@@ -167,23 +175,10 @@ def _on_bridge(samples: _Samples) -> Bool:
     # 2. Mark their ways to both sides. The key is ascending, as ways follow each other.
     key_m = samples.way * FAR_M + samples.arc_m
     here_m = key_m[np.unique(np.concatenate(over))]
-    ends = np.zeros(len(places) + 1, dtype=np.int64)
+    ends = np.zeros(len(places) + 1, np.int64)
     np.add.at(ends, np.searchsorted(key_m, here_m - BRIDGE_M), 1)
     np.add.at(ends, np.searchsorted(key_m, here_m + BRIDGE_M), -1)
     return np.cumsum(ends)[:-1] > 0
-
-
-def _corners(at: F64, shape: tuple[int, int]) -> tuple[I32, F64]:
-    """The three lattice corners (n, 3) around points in cells, and their shares (n, 3).
-
-    Cells are cut as in `Relief.at`.
-    """
-    cell = np.clip(at.astype(int), 0, (shape[1] - 2, shape[0] - 2))
-    u, v = (np.clip(at - cell, 0.0, 1.0)).T
-    first = cell[:, 1] * shape[1] + cell[:, 0]
-    corners = np.stack([first, first + np.where(u >= v, 1, shape[1]), first + shape[1] + 1], axis=1)
-    big, small = np.maximum(u, v), np.minimum(u, v)
-    return corners.astype(np.int32), np.stack([1.0 - big, big - small, small], axis=1)
 
 
 def _fitted(z: F64, cell_m: float, corners: I32, share: F64, height_m: F64, weight_m: F64) -> F64:

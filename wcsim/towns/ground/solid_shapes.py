@@ -63,7 +63,7 @@ def prism(
     number = {(x, y): i for i, (x, y) in enumerate(np.concatenate(rings).tolist())}
     corners, _, _ = triangles_of(outline)
     rows = [[number[x, y] for x, y in corner] for corner in corners.tolist()]
-    cover = np.array(rows, dtype=np.int32).reshape(-1, 3)
+    cover = np.array(rows, np.int32).reshape(-1, 3)
     return _extruded(rings, cover, low_m, high_m, class_id, floor)
 
 
@@ -124,7 +124,7 @@ def spindle(
             j = (i + 1) % sides
             faces += [(below[i], below[j], here[j]), (below[i], here[j], here[i])]
         below = here
-    table = np.array([face for face in faces if len(set(face)) == 3], dtype=np.int32)
+    table = np.array([face for face in faces if len(set(face)) == 3], np.int32)
     return Solid(
         vertices_W_m=np.concatenate(vertices),
         faces=table,

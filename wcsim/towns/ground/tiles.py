@@ -95,17 +95,12 @@ class TileStore:
         west, south, east, north = (int(number) for number in packed["tile_range"])
         corners = [int(number) for number in packed["raster_range"]]
         self._first, self._last = (corners[0], corners[1]), (corners[2], corners[3])
-        self._keys = tuple((x, y) for x in range(west, east + 1) for y in range(south, north + 1))
+        self.keys = tuple((x, y) for x in range(west, east + 1) for y in range(south, north + 1))
         self._spans = packed["tile_spans"]  # (tiles, 4) what the mesh of each tile covers
         # The grid used last is the last. Many have heights alone.
         self._cached: OrderedDict[TileKey, StreetGrid] = OrderedDict()
         self._used: dict[TileKey, int] = {}  # the number of the last request of each
         self._requests = 0
-
-    @property
-    def keys(self) -> tuple[TileKey, ...]:
-        """See `StreetTiles`."""
-        return self._keys
 
     def near(self, points_W_m: F64, reach_m: float) -> tuple[TileKey, ...]:
         """See `StreetTiles`."""
@@ -113,7 +108,7 @@ class TileStore:
         below, above = self._spans[:, :2] - points, points - self._spans[:, 2:]  # (n, tiles, 2)
         out = np.maximum(np.maximum(below, above), 0.0)
         close = ((out**2).sum(-1) <= reach_m**2).any(axis=0)
-        return tuple(self._keys[i] for i in np.flatnonzero(close))
+        return tuple(self.keys[i] for i in np.flatnonzero(close))
 
     def mesh(self, key: TileKey) -> StreetMesh:
         """See `StreetTiles`."""
@@ -254,29 +249,19 @@ def _box(key: TileKey) -> Box:
 
 def _chunks_of(mesh: StreetMesh, chunks: np.ndarray) -> StreetMesh:
     """Some chunks of a mesh as a mesh of its own."""
-    spans = [
-        (
-            mesh.chunk_vertices[c],
-            mesh.chunk_vertices[c + 1],
-            mesh.chunk_faces[c],
-            mesh.chunk_faces[c + 1],
-        )
-        for c in chunks
-    ]
-    chunk_vertices = np.cumsum([0, *(v1 - v0 for v0, v1, _, _ in spans)]).astype(np.int32)
-    chunk_faces = np.cumsum([0, *(f1 - f0 for _, _, f0, f1 in spans)]).astype(np.int32)
-    faces = [
-        mesh.faces[f0:f1] - v0 + at
-        for (v0, _, f0, f1), at in zip(spans, chunk_vertices, strict=False)
-    ]
-    # Without any chunk there is still an array of the right shape.
-    vertices = [np.zeros((0, 3), np.float32)]
-    vertices += [mesh.vertices_W_m[v0:v1] for v0, v1, _, _ in spans]
-    classes = [np.zeros(0, np.uint8), *(mesh.face_class[f0:f1] for _, _, f0, f1 in spans)]
+    # Without any chunk there are still arrays, of no numbers.
+    none = np.arange(0)
+    vertices = [none, *(np.arange(*mesh.chunk_vertices[c : c + 2]) for c in chunks)]
+    faces = [none, *(np.arange(*mesh.chunk_faces[c : c + 2]) for c in chunks)]
+    chunk_vertices = np.cumsum([len(part) for part in vertices]).astype(np.int32)
+    chunk_faces = np.cumsum([len(part) for part in faces]).astype(np.int32)
+    # The vertices of each chunk get lower numbers, all of them by as much.
+    lower = np.repeat(mesh.chunk_vertices[chunks] - chunk_vertices[:-1], np.diff(chunk_faces))
+    own = np.concatenate(faces)
     return StreetMesh(
-        vertices_W_m=np.concatenate(vertices),
-        faces=np.concatenate([np.zeros((0, 3), np.int32), *faces]).astype(np.int32),
-        face_class=np.concatenate(classes),
+        vertices_W_m=mesh.vertices_W_m[np.concatenate(vertices)],
+        faces=(mesh.faces[own] - lower[:, None]).astype(np.int32),
+        face_class=mesh.face_class[own],
         chunk_vertices=chunk_vertices,
         chunk_faces=chunk_faces,
     )

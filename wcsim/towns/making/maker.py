@@ -21,7 +21,7 @@ from wcsim.core.frames import deg2rad
 from wcsim.core.reading import read_module_toml
 from wcsim.core.seeding import derive_seed, make_rng
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.ground.plane_geometry import length_of, yaw_of
+from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.towns.importing.demand import build_ways, vtypes_text, write_demand
 from wcsim.towns.importing.elevation import Dem, Heights, lift_net
 from wcsim.towns.importing.folder_texts import (
@@ -322,13 +322,9 @@ def _chains(plan: StreetPlan) -> list[tuple[int, ...]]:
     """Links grouped to streets: at each junction the straightest pairs go on, best first."""
     same = networkx.Graph()
     same.add_nodes_from(range(len(plan.lines_m)))
-    arms: dict[int, list[tuple[int, float]]] = {}
-    for number, ((a, b), line) in enumerate(zip(plan.links, plan.lines_m, strict=True)):
-        for node, way in ((a, line[1] - line[0]), (b, line[-2] - line[-1])):
-            arms.setdefault(node, []).append((number, yaw_of(way)))
-    for node in sorted(arms):
+    for _, arms in sorted(plan.arms(plan.lines_m).items()):
         pairs = []
-        for (first, first_rad), (second, second_rad) in itertools.combinations(arms[node], 2):
+        for (first, first_rad), (second, second_rad) in itertools.combinations(arms, 2):
             angle_rad = abs((first_rad - second_rad + np.pi) % (2.0 * np.pi) - np.pi)
             pairs.append((abs(angle_rad - np.pi), first, second))
         used: set[int] = set()
@@ -349,7 +345,17 @@ def _write_net(
 ) -> Path:
     """Make <name>.net.xml in `folder`. Raises SumoError when netconvert fails."""
     nodes, edges = folder / "made.nod.xml", folder / "made.edg.xml"
-    nodes.write_text(_nodes_xml(plan, streets, signals, rng), encoding="utf-8")
+    meeting: dict[int, list[_NamedStreet]] = {}
+    for street in streets:
+        for link in street.links:
+            for node in plan.links[link]:
+                meeting.setdefault(node, []).append(street)
+    lines = ["<nodes>"]
+    for number, (x_m, y_m) in enumerate(plan.nodes_m.tolist()):
+        driven = [street for street in meeting[number] if street.kind is not WALK]
+        kind = _junction_kind(driven, signals.share, rng.random())
+        lines.append(f'    <node id="j{number}" x="{x_m:.2f}" y="{y_m:.2f}" type="{kind}"/>')
+    nodes.write_text("\n".join([*lines, "</nodes>", ""]), encoding="utf-8")
     edges.write_text(_edges_xml(plan, streets), encoding="utf-8")
     options = ["-n", nodes.name, "-e", edges.name, *_NETCONVERT.split(), "-o", f"{name}.net.xml"]
     options += ["--default.crossing-width", f"{signals.crossing_m:.2f}"]
@@ -361,25 +367,6 @@ def _write_net(
     if run.returncode:
         raise SumoError(f"no net could be built: {run.reason()}; use another seed or size")
     return folder / f"{name}.net.xml"
-
-
-def _nodes_xml(
-    plan: StreetPlan,
-    streets: tuple[_NamedStreet, ...],
-    signals: _Signals,
-    rng: np.random.Generator,
-) -> str:
-    meeting: dict[int, list[_NamedStreet]] = {}
-    for street in streets:
-        for link in street.links:
-            for node in plan.links[link]:
-                meeting.setdefault(node, []).append(street)
-    lines = ["<nodes>"]
-    for number, (x_m, y_m) in enumerate(plan.nodes_m.tolist()):
-        driven = [street for street in meeting[number] if street.kind is not WALK]
-        kind = _junction_kind(driven, signals.share, rng.random())
-        lines.append(f'    <node id="j{number}" x="{x_m:.2f}" y="{y_m:.2f}" type="{kind}"/>')
-    return "\n".join([*lines, "</nodes>", ""])
 
 
 def _junction_kind(driven: list[_NamedStreet], share: float, drawn: float) -> str:

@@ -45,6 +45,14 @@ class StreetPlan:
     # (K, 2) of each link, from its first junction on; none: all are straight.
     lines_m: tuple[F64, ...] = ()
 
+    def arms(self, lines: Sequence[F64]) -> dict[int, list[tuple[int, float]]]:
+        """The links at each junction with their directions (rad) from there, along their lines."""
+        found: dict[int, list[tuple[int, float]]] = {}
+        for number, ((a, b), line) in enumerate(zip(self.links, lines, strict=True)):
+            for node, way in ((a, line[1] - line[0]), (b, line[-2] - line[-1])):
+                found.setdefault(node, []).append((number, yaw_of(way)))
+        return found
+
     def graph(self) -> networkx.Graph:
         """The links as a graph; the edges know their number as `link`."""
         graph = networkx.Graph()
@@ -306,13 +314,10 @@ def _has_room(plan: StreetPlan, lines: Sequence[F64]) -> bool:
 
 def _least_angle_rad(plan: StreetPlan, lines: Sequence[F64]) -> float:
     """The smallest angle between two streets at one junction."""
-    ways: dict[int, list[float]] = {}
-    for (a, b), line in zip(plan.links, lines, strict=True):
-        for node, way in ((a, line[1] - line[0]), (b, line[-2] - line[-1])):
-            ways.setdefault(node, []).append(yaw_of(way))
+    directions_rad = (sorted(rad for _, rad in arms) for arms in plan.arms(lines).values())
     gaps = [
-        float(np.diff([*sorted(angles), min(angles) + 2.0 * np.pi]).min())
-        for angles in ways.values()
+        float(np.diff([*angles, angles[0] + 2.0 * np.pi]).min())
+        for angles in directions_rad
         if len(angles) > 1
     ]
     return min(gaps, default=np.pi)

@@ -268,10 +268,10 @@ def _shape(text: str, origin_m: tuple[int, int]) -> tuple[F64, F64]:
     Raises ValueError.
     """
     rows = [(*part.split(","), "0")[:3] for part in text.split()]
-    table = np.array(rows, dtype=np.float64).reshape(-1, 3)
+    table = np.array(rows, np.float64).reshape(-1, 3)
     if not np.isfinite(table).all():
         raise ValueError(f"a shape holds a number that is not finite: {text[:60]!r}")
-    return table[:, :2] - np.asarray(origin_m, dtype=np.float64), table[:, 2]
+    return table[:, :2] - np.asarray(origin_m, np.float64), table[:, 2]
 
 
 def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:

@@ -107,7 +107,7 @@ def shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None
     roomy = part.buffer(_SLACK_M)
     shapely.prepare(roomy)
     if roomy.covers(shapely.LineString([start_m, goal_m])):
-        return np.array([start_m, goal_m], dtype=np.float64)
+        return np.array([start_m, goal_m], np.float64)
 
     # 2. Search a graph of the corners that see each other: a shortest way bends at them alone.
     points = np.concatenate([[start_m, goal_m], _corners(part)])

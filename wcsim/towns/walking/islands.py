@@ -101,7 +101,7 @@ def _touching(net: Net, parts: list[BaseGeometry]) -> dict[str, int]:
     ]
     part_of: dict[str, int] = {}
     best_m2: dict[str, float] = {}
-    areas = np.array([area for _, area in edges], dtype=object)  # a net without pavements has none
+    areas = np.array([area for _, area in edges], object)  # a net without pavements has none
     for number, part in shapely.STRtree(parts).query(areas, predicate="intersects").T:
         edge_id, area = edges[number]
         shared_m2 = area.intersection(parts[part]).area

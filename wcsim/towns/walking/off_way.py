@@ -41,21 +41,19 @@ def off_way_start(ground: Ground, near_W_m: F64, rng: np.random.Generator) -> St
             continue
         if anywhere:
             yaw_rad = float(rng.uniform(-math.pi, math.pi))
-            return StartSpec(
-                p_W_m=(float(place[0]), float(place[1])), yaw_rad=yaw_rad, goal_W_m=goal
-            )
-        ways = np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-        line = place + along_m[:, None] * ways[:, None]
-        raised_m = ground.raised_at(line)
-        steps = np.abs(np.diff(raised_m, axis=1)) > KERB_STEP_M
-        first_m = np.where(steps.any(axis=1), along_m[steps.argmax(axis=1)], np.inf)
-        nearest = int(first_m.argmin())
-        before = along_m < first_m[nearest]
-        if (
-            not FAR_M[0] < first_m[nearest] < FAR_M[1]
-            or (ground.clearance_at(line[nearest, before]) < CLEAR_M).any()
-        ):
-            continue
-        yaw_rad = float(turns[nearest] + rng.uniform(-1.0, 1.0) * deg2rad(ASIDE_DEG))
+        else:
+            ways = np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+            line = place + along_m[:, None] * ways[:, None]
+            raised_m = ground.raised_at(line)
+            steps = np.abs(np.diff(raised_m, axis=1)) > KERB_STEP_M
+            first_m = np.where(steps.any(axis=1), along_m[steps.argmax(axis=1)], np.inf)
+            nearest = int(first_m.argmin())
+            before = along_m < first_m[nearest]
+            if (
+                not FAR_M[0] < first_m[nearest] < FAR_M[1]
+                or (ground.clearance_at(line[nearest, before]) < CLEAR_M).any()
+            ):
+                continue
+            yaw_rad = float(turns[nearest] + rng.uniform(-1.0, 1.0) * deg2rad(ASIDE_DEG))
         return StartSpec(p_W_m=(float(place[0]), float(place[1])), yaw_rad=yaw_rad, goal_W_m=goal)
     return None

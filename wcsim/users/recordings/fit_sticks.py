@@ -80,7 +80,9 @@ def fit_user_to_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFitR
     units = list(people.values())
     if len(units) == 1:
         units = np.array_split(units[0], round(len(units[0]) * STICK_DT_S / _PIECE_S))
-    step = _device_step(units)
+    # The device's step is seen where sticks go straight on: a round gate shifts one aside.
+    ahead = np.concatenate([unit[unit[:, 0] == 0.0, 1] for unit in units])
+    step = float(np.median(np.diff(np.unique(np.r_[0.0, 1e-3, ahead]))))
     own = [measure_stick_habits(unit, base.noise_rate, step) for unit in units]
     rows = {"people": _means(own)}
 
@@ -170,12 +172,6 @@ def simulate_hand_stick(user: UserProfile, intents: F64, step: float, number: in
         hand.send_intent(Joystick(x, y))
         found[k] = hand.move(_STEPS, STICK_DT_S / _STEPS)[-1]
     return np.rint(found / step) * step
-
-
-def _device_step(sticks: Sequence[F64]) -> float:
-    """The smallest difference of sticks that go straight on: a round gate shifts one aside."""
-    ahead = np.concatenate([stick[stick[:, 0] == 0.0, 1] for stick in sticks])
-    return float(np.median(np.diff(np.unique(np.r_[0.0, 1e-3, ahead]))))
 
 
 def _means(

@@ -111,11 +111,16 @@ def fit_hand_model(series: Sequence[HandTimeSeries]) -> HandFitResult:
     step_s = series[0].tick_s / series[0].steps
     sd["reaction_s"] = math.hypot(sd["reaction_s"], step_s / math.sqrt(12.0))
     has_tremor = len(found) == len(_NAMES)
+    # A user that only ever pushes to the gate shows no more than one that never moves.
+    moves = np.concatenate(
+        [np.hypot(item.stick[:, 0], item.stick[:, 1]) > MOVES for item in series]
+    )
+    counted = (np.concatenate(loss.counted) & moves).sum()
     return HandFitResult(
         values=values,
         sd=sd,
         tremor_most=0.0 if has_tremor else _most_tremor(series, found, guess),
-        counted_share=_counted_share(series, loss.counted),
+        counted_share=float(counted / max(1, int(moves.sum()))),
     )
 
 
@@ -128,17 +133,6 @@ def _most_tremor(series: Sequence[HandTimeSeries], calm: F64, guess: F64) -> flo
         if float(loss(shaken).sum()) > least + _IMPROBABLE:
             return amplitude
     return 0.2
-
-
-def _counted_share(series: Sequence[HandTimeSeries], counted: Sequence[Bool]) -> float:
-    """The share of a moving stick's samples that count.
-
-    A user that only ever pushes to the gate shows no more than one that never moves.
-    """
-    moves = np.concatenate(
-        [np.hypot(item.stick[:, 0], item.stick[:, 1]) > MOVES for item in series]
-    )
-    return float((np.concatenate(counted) & moves).sum() / max(1, int(moves.sum())))
 
 
 # --- where the search starts ---
@@ -243,11 +237,23 @@ class _Loss:
         beyond = float((((params - inside) / np.array(_STEPS[: len(params)])) ** 2).sum())
         values = _natural_values(inside)
         line = np.array([values[name] for name in _LINE])
+        hz = values.get("tremor_hz", 4.0)
+        # Half of what its phase diffuses.
+        fades_per_s = 0.5 * (math.tau * hz * TREMOR_WANDER) ** 2 * TREMOR_WANDER_S
         losses, clears = [], []
         hands = self._noiseless_hands(values["reaction_s"], values["lag_s"])
         for item, counted, hand in zip(self._series, self.counted, hands, strict=True):
             clear = np.zeros(len(item.at), np.bool_)
-            noise = _noise(values, item.apart_s)
+            noise = np.array(
+                [
+                    item.apart_s,
+                    values["noise"],
+                    values["noise_rate"],
+                    values.get("tremor", 0.0),
+                    math.tau * hz * item.apart_s,
+                    math.exp(-fades_per_s * item.apart_s),
+                ]
+            )
             part = _negative_log_density(item.hand, hand, item.free, noise, line, counted, clear)
             losses.append(part + beyond / len(part))
             clears.append(clear)
@@ -267,23 +273,6 @@ def _noiseless_hand(item: HandTimeSeries, delay_s: float, lag_s: float) -> F64:
     """The hand at the samples (n, 2) without noise, gain and bias."""
     dt_s = item.tick_s / item.steps
     return _delayed_intents(item.intents, item.steps, dt_s, delay_s, lag_s, item.filter_s)[item.at]
-
-
-def _noise(values: dict[str, float], apart_s: float) -> F64:
-    """The noise (6,) for `_negative_log_density`."""
-    hz = values.get("tremor_hz", 4.0)
-    # Half of what its phase diffuses.
-    fades_per_s = 0.5 * (math.tau * hz * TREMOR_WANDER) ** 2 * TREMOR_WANDER_S
-    return np.array(
-        [
-            apart_s,
-            values["noise"],
-            values["noise_rate"],
-            values.get("tremor", 0.0),
-            math.tau * hz * apart_s,
-            math.exp(-fades_per_s * apart_s),
-        ]
-    )
 
 
 def _fitted_values(values: F64) -> F64:
@@ -353,22 +342,17 @@ def _negative_log_density(
     cos = noise[_FADING] * math.cos(noise[_TURN_RAD])
     sin = noise[_FADING] * math.sin(noise[_TURN_RAD])
     x, p, mean, variance = np.zeros((2, 3)), np.zeros((2, 3, 3)), np.zeros(2), np.zeros(2)
-    wander = noise[_NOISE] ** 2
+    wander, swing = noise[_NOISE] ** 2, np.zeros(2)
     for axis in range(2):
+        swing[axis] = 0.5 * (noise[_TREMOR] * (1.0 if axis == 0 else TREMOR_FORWARD)) ** 2
         p[axis, 0, 0] = wander
-        p[axis, 1, 1] = p[axis, 2, 2] = (
-            0.5 * (noise[_TREMOR] * (1.0 if axis == 0 else TREMOR_FORWARD)) ** 2
-        )
+        p[axis, 1, 1] = p[axis, 2, 2] = swing[axis]
     for k in range(n):
         for axis in range(2):
             a, b, c = x[axis, 0], x[axis, 1], x[axis, 2]
             x[axis, 0], x[axis, 1], x[axis, 2] = decay * a, cos * b - sin * c, sin * b + cos * c
             _predict_covariance(p[axis], decay, cos, sin)
-            shake = (
-                0.5
-                * (noise[_TREMOR] * (1.0 if axis == 0 else TREMOR_FORWARD)) ** 2
-                * (1.0 - noise[_FADING] ** 2)
-            )
+            shake = swing[axis] * (1.0 - noise[_FADING] ** 2)
             p[axis, 0, 0] += wander * (1.0 - decay * decay)
             p[axis, 1, 1] += shake
             p[axis, 2, 2] += shake

@@ -155,7 +155,19 @@ def read_stick_recording(path: FilePath) -> _JoystickRecording:
                 f"{where}: more than {MOST_SAMPLES} samples; expected at most so many: cut the file"
             )
         time_s, x, y = _sample(where, row)
-        _check_time(where, time_s, numbers[-3] if numbers else None)
+        before_s = numbers[-3] if numbers else None
+        if before_s is None:
+            if not 0.0 <= time_s <= _LONGEST_GAP_S:
+                raise ConfigError(
+                    f"{where}: time_s is {time_s} s; "
+                    f"expected the first sample at 0 to {_LONGEST_GAP_S} s"
+                )
+        elif not before_s < time_s <= before_s + _LONGEST_GAP_S + _SAME_TIME_S:
+            raise ConfigError(
+                f"{where}: time_s is {time_s} s after {before_s} s; "
+                f"expected later, by at most {_LONGEST_GAP_S} s: "
+                "a gap is not filled, cut the recording there"
+            )
         numbers.extend((time_s, right * x, y))
     table = np.array(numbers).reshape(-1, 3)
     if len(table) < 2:
@@ -201,21 +213,6 @@ def _sample(where: str, row: list[str]) -> tuple[float, float, float]:
         if not -1.0 <= value <= 1.0:
             raise ConfigError(f"{where}: {name} is {value}; expected -1 to 1")
     return time_s, x, y
-
-
-def _check_time(where: str, time_s: float, before_s: float | None) -> None:
-    if before_s is None:
-        if not 0.0 <= time_s <= _LONGEST_GAP_S:
-            raise ConfigError(
-                f"{where}: time_s is {time_s} s; "
-                f"expected the first sample at 0 to {_LONGEST_GAP_S} s"
-            )
-    elif not before_s < time_s <= before_s + _LONGEST_GAP_S + _SAME_TIME_S:
-        raise ConfigError(
-            f"{where}: time_s is {time_s} s after {before_s} s; "
-            f"expected later, by at most {_LONGEST_GAP_S} s: "
-            "a gap is not filled, cut the recording there"
-        )
 
 
 def _joystick_of_drive(path: FilePath) -> _JoystickRecording:

@@ -78,6 +78,12 @@ def failures_of(result: TestResult, folder: Path) -> tuple[FailedEpisode, ...]:
             if not reason:
                 continue
             twin = alone.get((record.block, record.seat))
+            # The command that drives it again, typed where the test was: policies and lists have names from there.
+            words = ["wcsim", "test", policy, "--suite", result.list_name, "--play", f"{record.block}.{record.seat}"]
+            words += ["--out", result.out or folder.resolve().name]
+            words += ["--preset", result.preset] if result.preset != "quick" else []
+            words += ["--network", result.network] if result.network else []
+            words += [word for setting in result.changed for word in ("--set", setting)]
             found.append(
                 FailedEpisode(
                     policy=policy,
@@ -87,7 +93,7 @@ def failures_of(result: TestResult, folder: Path) -> tuple[FailedEpisode, ...]:
                     severity=severity,
                     speed_mps=_last_speed_mps(record),
                     unaided="not driven" if twin is None else fate(twin),
-                    command=_command_of(result, folder, policy, record),
+                    command=shlex.join(words),
                 )
             )
     return tuple(sorted(found, key=lambda one: (one.severity, -(one.speed_mps or 0.0), one.policy, one.key)))
@@ -132,16 +138,6 @@ def _last_speed_mps(record: EpisodeRecord) -> float | None:
     spent_s = leg_s + (legs - 1)
     way_m = sum(math.dist(path_m[-at], path_m[-at - 1]) for at in range(1, legs + 1))
     return way_m / spent_s if spent_s > 0.0 else None
-
-
-def _command_of(result: TestResult, folder: Path, policy: str, record: EpisodeRecord) -> str:
-    """The command that drives an episode again, typed where the test was; see `where_typed`."""
-    words = ["wcsim", "test", policy, "--suite", result.list_name, "--play", f"{record.block}.{record.seat}"]
-    words += ["--out", result.out or folder.resolve().name]  # policies and lists have names from where they were typed
-    words += ["--preset", result.preset] if result.preset != "quick" else []
-    words += ["--network", result.network] if result.network else []
-    words += [word for setting in result.changed for word in ("--set", setting)]
-    return shlex.join(words)
 
 
 def where_typed(result: TestResult) -> str:

@@ -6,7 +6,7 @@ It is the one module that draws with matplotlib.
 import io
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import fill
@@ -93,17 +93,10 @@ def _colour_of(place: int) -> str:
 
 @contextmanager
 def _drawn(name: str, out: io.BytesIO, height_in: float = _HEIGHT_IN) -> Iterator[Axes]:
-    """The axes of a figure with one panel, see `_figure`."""
-    with _figure(name, out, height_in) as figure:
-        yield figure.add_subplot()
-
-
-@contextmanager
-def _figure(name: str, out: io.BytesIO, height_in: float) -> Iterator[Figure]:
-    """A figure that is written to `out` at the end; names inside it come from `name` alone."""
+    """The axes of a figure with one panel, written to `out` at the end; names inside it come from `name` alone."""
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         figure = Figure(figsize=(_WIDTH_IN, height_in), layout="constrained")
-        yield figure
+        yield figure.add_subplot()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
 
 
@@ -267,29 +260,22 @@ def _draw_ways(axes: Axes, here: Sequence[tuple[str, EpisodeRecord]], places: Ma
     _legend(axes, len(policies))
 
 
-@contextmanager
-def _bars(name: str, out: io.BytesIO, policies: Collection[str], above_in: float, label: str) -> Iterator[Axes]:
-    """The axes of a figure with a bar for each policy, the first one on top."""
-    with _drawn(name, out, above_in + 0.24 * len(policies)) as axes:
-        yield axes
-        axes.set_yticks(range(len(policies)), [_short(each) for each in policies])
-        axes.invert_yaxis()
-        axes.grid(visible=False, axis="y")
-        axes.set_xlabel(label)
-        _legend(axes, len(STATUSES))
-
-
 def _statuses(result: TestResult) -> Exhibit:
-    """Stacked shares: for each policy how many episodes ended in each way."""
+    """Stacked shares, a bar for each policy with the first one on top: how many episodes ended in each way."""
     counts = [Counter(e.status for e in episodes) for episodes in result.episodes.values()]
     before, out = np.zeros(len(counts)), io.BytesIO()
-    with _bars("status", out, result.episodes, 1.3, "share of episodes") as axes:
+    with _drawn("status", out, 1.3 + 0.24 * len(counts)) as axes:
         for status, ending, colour in zip(STATUSES, _ENDINGS, _ENDS, strict=True):
             shares = np.array([found[status] / max(1, found.total()) for found in counts])
             if shares.any():
                 axes.barh(range(len(counts)), shares, left=before, color=colour, label=ending)
             before = before + shares
         axes.set_xlim(0.0, 1.0)
+        axes.set_yticks(range(len(counts)), [_short(each) for each in result.episodes])
+        axes.invert_yaxis()
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel("share of episodes")
+        _legend(axes, len(STATUSES))
     rows: list[list[Cell]] = [
         [name, *(found[status] for status in STATUSES)] for name, found in zip(result.episodes, counts, strict=True)
     ]

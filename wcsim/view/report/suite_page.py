@@ -20,10 +20,14 @@ from wcsim.view.report.pages import Cell, Exhibit, page, write_page
 
 def _result_table(result: TestResult, part: str) -> Exhibit:
     """The table of a part, "" for all parts."""
+    headings = ["policy"]
+    for column in COLUMNS:
+        bounds = (f"{column.interval}_low", f"{column.interval}_high") if column.interval else ()
+        headings += [column.key, *bounds]
     rows = [row for row in (result.rows if part else result.pooled) if row.part == part]
     return Exhibit(
         name=f"table-{part or 'all'}",
-        columns=["policy", *(key for column in COLUMNS for key in _keys(column))],
+        columns=headings,
         rows=[[row.policy, *(cell for column in COLUMNS for cell in _plain(row, column))] for row in rows],
     )
 
@@ -33,10 +37,6 @@ def _comparison_table(pairs: Sequence[Paired]) -> Exhibit:
     columns = ("policy", "rival", "part", "episodes", "saved", "lost", "mcnemar_p", "difference")
     rows = [[*(getattr(pair, name) for name in columns), *(pair.interval or (None, None))] for pair in pairs]
     return Exhibit(name="comparison", columns=(*columns, "low", "high"), rows=rows)
-
-
-def _keys(column: Column) -> list[str]:
-    return [column.key, *((f"{column.interval}_low", f"{column.interval}_high") if column.interval else ())]
 
 
 def _plain(row: ResultRow, column: Column) -> list[Cell]:

@@ -49,7 +49,21 @@ def _rounds(runs: Runs) -> _Section:
         line,
     )
     loss = _round_figure(runs, "round-loss", "loss", lambda each: each.loss)
-    return "rounds", "Rounds of driving and learning", (*([alive] if alive.rows else []), _round_table(runs), loss)
+    headings = (
+        *("run", "round", "steps", "new", "with dangers", "crashes", "per 1,000 steps", "network's steps", "crashes"),
+        *("user's steps", "crashes", "updates", "loss", "waited for worlds, s", "learned, s"),
+    )
+    rows: list[list[Cell]] = [
+        [
+            run, each.round + 1, each.steps, each.new_steps, f"{100.0 * each.tight_share:.0f} %", each.crashes,
+            _rounded(_crash_rate(each), 1), each.network_steps, each.network_crashes, each.user_steps,
+            each.user_crashes, each.updates, _rounded(each.loss, 3), round(each.wait_s), round(each.learn_s),
+        ]
+        for run, rounds in runs.items()
+        for each in rounds
+    ]  # fmt: skip
+    table = Exhibit(name="rounds", title="Rounds", columns=headings, rows=rows)
+    return "rounds", "Rounds of driving and learning", (*([alive] if alive.rows else []), table, loss)
 
 
 def _per_crash(steps: int, crashes: int) -> float:
@@ -89,23 +103,6 @@ def _round_figure(
         plain += [[run, each.round + 1, each.steps, round(value, 6)] for each, value in known]
     svg = curve_chart(name, label, curves, line)
     return Exhibit(name=name, title=label.capitalize(), columns=("run", "round", "steps", name), rows=plain, svg=svg)
-
-
-def _round_table(runs: Runs) -> Exhibit:
-    headings = (
-        *("run", "round", "steps", "new", "with dangers", "crashes", "per 1,000 steps", "network's steps", "crashes"),
-        *("user's steps", "crashes", "updates", "loss", "waited for worlds, s", "learned, s"),
-    )
-    rows: list[list[Cell]] = [
-        [
-            run, each.round + 1, each.steps, each.new_steps, f"{100.0 * each.tight_share:.0f} %", each.crashes,
-            _rounded(_crash_rate(each), 1), each.network_steps, each.network_crashes, each.user_steps,
-            each.user_crashes, each.updates, _rounded(each.loss, 3), round(each.wait_s), round(each.learn_s),
-        ]
-        for run, rounds in runs.items()
-        for each in rounds
-    ]  # fmt: skip
-    return Exhibit(name="rounds", title="Rounds", columns=headings, rows=rows)
 
 
 def _rounded(value: float | None, digits: int = 4) -> float | None:
@@ -210,10 +207,14 @@ def _clients(training: Training) -> Exhibit:
     for name, episodes in _counted(training).items():
         steps = training.steps.get(name, ())
         crossed, last = crossing(steps), [*training.clients[name], *steps]
+        means: list[Cell] = []
+        for key in ("length", "overestimate"):
+            values = [value for episode in episodes if (value := getattr(episode, key)) is not None]
+            means.append(round(running_means(values)[-1], 4) if values else None)
         rows.append([
             name, max((row.step for row in last), default=0), len(episodes), sum(e.crashed for e in episodes),
             sum(e.cut for e in training.clients[name]), crossed.step, crossed.left, _rounded(crossed.last),
-            *(_last_mean(episodes, key) for key in ("length", "overestimate")),
+            *means,
         ])  # fmt: skip
     headings = (
         *("client", "steps", "episodes", "crashes", "cut", f"KPI 1 below {KPI1_LIMIT} from step"),
@@ -221,11 +222,6 @@ def _clients(training: Training) -> Exhibit:
         *(f"{what}, last {OVER}" for what in ("KPI 2", "value minus return")),
     )
     return Exhibit(name="clients", title="Clients", columns=headings, rows=rows)
-
-
-def _last_mean(episodes: Sequence[TrainedEpisode], key: str) -> float | None:
-    values = [value for episode in episodes if (value := getattr(episode, key)) is not None]
-    return round(running_means(values)[-1], 4) if values else None
 
 
 _SHOWN: Final = (
@@ -243,18 +239,16 @@ _PAID: Final = (
 def _client_sections(training: Training) -> list[_Section]:
     """Sections for runs that compared their clients (`learn.select_by`), then for runs whose clients shared a world."""
     shown: list[_Section] = []
-    for title, exhibit_of in (("Which client learns the second phase", _selection), ("Who waits for whom", _waiting)):
-        for number, run in enumerate(map(Path, training.manifests)):
-            exhibit = exhibit_of(run, f"-{number + 1}" if number else "")
-            shown += [] if exhibit is None else [(exhibit.name, title, (exhibit,))]
+    runs = {f"-{number + 1}" if number else "": Path(run) for number, run in enumerate(training.manifests)}
+    for number, run in runs.items():
+        if is_file(run / SELECTION / CHOICE):
+            selection = (_tested if is_file(run / SELECTION / RESULT) else _compared)(run, f"selection{number}")
+            shown.append((selection.name, "Which client learns the second phase", (selection,)))
+    for number, run in runs.items():
+        waiting = _waiting(run, f"waiting{number}")
+        if waiting is not None:
+            shown.append((waiting.name, "Who waits for whom", (waiting,)))
     return shown
-
-
-def _selection(run: Path, number: str) -> Exhibit | None:
-    """The clients after their first phase, by a test or by KPI 1; None where none was selected."""
-    if not is_file(run / SELECTION / CHOICE):
-        return None
-    return (_tested if is_file(run / SELECTION / RESULT) else _compared)(run, f"selection{number}")
 
 
 def _compared(run: Path, exhibit: str) -> Exhibit:
@@ -299,7 +293,7 @@ def _cell(value: object) -> Cell:
     return value if isinstance(value, int | float | str) else None
 
 
-def _waiting(run: Path, number: str) -> Exhibit | None:
+def _waiting(run: Path, exhibit: str) -> Exhibit | None:
     """Who paid what of clients that shared a world; None where none did."""
     times = read_group_run_times(run)
     if times is None:
@@ -312,4 +306,4 @@ def _waiting(run: Path, number: str) -> Exhibit | None:
         held = [None if whom == name else round(waited.get(whom, 0.0), 1) for whom in times.clients]
         rows.append([name, *(round(part_s, 1) for part_s in paid), *held])
     title, columns = f"{run.resolve().name}: waiting between clients", [f"for {name} s" for name in times.clients]
-    return Exhibit(name=f"waiting{number}", title=title, columns=(*_PAID, *columns), rows=rows)
+    return Exhibit(name=exhibit, title=title, columns=(*_PAID, *columns), rows=rows)

@@ -37,6 +37,7 @@ _FROM_REST_S: Final = 2.0
 _SLACK: Final = 3.0  # an episode lasts so many times its reference, and a minute for lights
 _WAITS_S: Final = 60.0
 XY = tuple[float, float]
+Way = tuple[SuiteEpisode, Route]
 
 
 def _is_sound(street: Street, route: Route, outline: Outline) -> bool:
@@ -110,7 +111,7 @@ def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) 
     edges = place.street.walk.edges
     crossings = [i for i, edge in enumerate(edges) if edge.kind is WayKind.CROSSING and not edge.never_green]
     rng = seeding.make_rng(seed, "suite", place.name, wanted.part)
-    found: list[tuple[SuiteEpisode, Route]] = []
+    found: list[Way] = []
     order = [crossings[i] for i in rng.permutation(len(crossings)).tolist()]
     ways = deque((crossing, back) for back in (False, True) for crossing in order)
     turn = 0
@@ -144,13 +145,14 @@ def _block(place: DrawPlace, wanted: Wanted, seed: int, number: int, episodes: S
     )
 
 
-def _apart(ways: Iterator[tuple[SuiteEpisode, Route]]) -> list[SuiteEpisode]:
+def _apart(ways: Iterator[Way]) -> list[SuiteEpisode]:
     """The first ways, up to SEATS, that keep APART_M from one another."""
     taken: list[SuiteEpisode] = []
     lines: list[F64] = []
     for episode, route in ways:
         points_m = route.points_W_m
-        if all(_distance_m(points_m, other) > APART_M for other in lines):
+        # The points (n, 2) of a way are a metre apart.
+        if all(np.hypot(*(points_m[:, None] - other_m).T).min() > APART_M for other_m in lines):
             taken.append(episode)
             lines.append(points_m)
             if len(taken) == SEATS:
@@ -158,12 +160,7 @@ def _apart(ways: Iterator[tuple[SuiteEpisode, Route]]) -> list[SuiteEpisode]:
     return taken
 
 
-def _distance_m(one_m: F64, other_m: F64) -> float:
-    """Between the points (n, 2) of two ways, which are a metre apart."""
-    return float(np.hypot(*(one_m[:, None, :] - other_m[None, :, :]).T).min())
-
-
-def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[tuple[SuiteEpisode, Route]]:
+def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[Way]:
     """Sound ways; whether one leads over a crossing is drawn before it is, so that the share stays as wanted."""
     over = float(rng.random() < wanted.crossing_share)
     for _ in range(_TRIES):
@@ -178,9 +175,7 @@ def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) 
             over = float(rng.random() < wanted.crossing_share)
 
 
-def _attempt(
-    place: DrawPlace, crossing: int, back: bool, who: str, rng: np.random.Generator
-) -> tuple[SuiteEpisode, Route] | None:
+def _attempt(place: DrawPlace, crossing: int, back: bool, who: str, rng: np.random.Generator) -> Way | None:
     """A way over one crossing, from a pavement near its one end to one near its other."""
     points_m = place.street.walk.edges[crossing].points_W_m
     ends = (points_m[-1], points_m[0]) if back else (points_m[0], points_m[-1])
@@ -212,7 +207,7 @@ def _clear(place: DrawPlace, start: XY, yaw_rad: float) -> bool:
     return is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, lambda _p_W_m, _reach_m: ())
 
 
-def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) -> tuple[SuiteEpisode, Route]:
+def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) -> Way:
     start = (round(start[0], 3), round(start[1], 3))
     goal = (round(goal[0], 3), round(goal[1], 3))
     route = place.router.route(start, goal)

@@ -20,6 +20,7 @@ from wcsim.agents.evaluation.suite.records import (
     REFUSED,
     TIMED_OUT,
     EpisodeRecord,
+    Records,
 )
 from wcsim.agents.opening.list_file import BlockSetup, make_episode_seat_spec
 from wcsim.agents.policy_api import Observation, Policy, Warns
@@ -75,9 +76,7 @@ class Watch(Protocol):
         """An episode has ended; its chair is about to leave the street."""
 
 
-def drive_block(
-    piece: Piece, place: BlockSetup, make_policy: MakePolicy, watch: Watch | None = None
-) -> tuple[EpisodeRecord, ...]:
+def drive_block(piece: Piece, place: BlockSetup, make_policy: MakePolicy, watch: Watch | None = None) -> Records:
     """Drive all episodes of a block, each to its end; records in the order of the block.
 
     With somebody to watch, those alone that have ended when the last of the watched ones has.
@@ -87,7 +86,8 @@ def drive_block(
         PolicyError: `make_policy` made none.
     """
     block = piece.block
-    config = resolve(place.config, (*block.settings, "world.draw_threads=1"))
+    # Whatever a network learned in: it is judged in the engine.
+    config = resolve(place.config, (*block.settings, "world.draw_threads=1", "world.rolling=false"))
     policies = [make_policy() for _ in block.episodes]
     specs = tuple(make_episode_seat_spec(place, *each) for each in zip(block.episodes, policies, strict=True))
     with World(place.town, config, specs, place.seed, RunPlace(hook=piece.hook), find_user=find_user) as world:
@@ -268,7 +268,7 @@ def _record(piece: Piece, seat: int, status: str, reason: str, **more: Any) -> E
     )
 
 
-def refused(piece: Piece, reason: str) -> tuple[EpisodeRecord, ...]:
+def refused(piece: Piece, reason: str) -> Records:
     """The records of a block whose policy cannot be used at all."""
     return tuple(
         _record(piece, seat, REFUSED, reason, route_m=episode.route_m, reference_s=episode.reference_s)

@@ -120,7 +120,6 @@ class _LastSteps:
 
     def see(self, seat: int, step: EnvStepResult, world: World, policy: Policy) -> None:
         """Keep a step."""
-        del policy
         info, snapshot = step.info, world.snapshot
         objects = info[OBJECTS]
         plant = objects.state

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final, get_type_hints
 
-from wcsim.core.reading import escape, escape_repr, pluralize
+from wcsim.core.reading import JsonObject, escape, escape_repr, pluralize
 from wcsim.errors import ConfigError
 
 FINISHED: Final = "finished"
@@ -131,9 +131,12 @@ class EpisodeRecord:
         """Whether the policy could be used to the end, however that was."""
         return self.status not in (POLICY_FAILED, REFUSED, NOT_REACHED)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """Plain values under the same names."""
         return asdict(self)
+
+
+Records = tuple[EpisodeRecord, ...]
 
 
 def both_counted(

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.evaluation.suite.records import SCORE_VERSION, EpisodeRecord, record_of
+from wcsim.agents.evaluation.suite.records import SCORE_VERSION, EpisodeRecord, Records, record_of
 from wcsim.agents.evaluation.suite.rows import ResultRow, pooled_rows
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.core import reading
-from wcsim.core.reading import escape, is_file, read_json
+from wcsim.core.reading import JsonObject, escape, is_file, read_json
 from wcsim.errors import ConfigError
 
 RESULT: Final = "result.json"
@@ -34,7 +34,7 @@ class TestResult:
     changed: tuple[str, ...]  # settings, over those of the list
     rows: tuple[ResultRow, ...]  # a policy and a part each
     pooled: tuple[ResultRow, ...]
-    episodes: Mapping[str, tuple[EpisodeRecord, ...]]  # by policy, as in `pooled`
+    episodes: Mapping[str, Records]  # by policy, as in `pooled`
     list_name: str  # of a list that comes with wcsim, or its path
     preset: str
     network: str
@@ -50,12 +50,12 @@ class TestResult:
         left_out = {(each.block, each.seat) for found in self.episodes.values() for each in found if not each.counts}
         return [each for each in self.episodes[policy] if (each.block, each.seat) not in left_out]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """What `result.json` holds: the whole result as plain values; the version is in the suite's name.
 
         The last is a hash over what was asked and every number of its episodes, of which the rows are few.
         """
-        said: dict[str, Any] = {name: getattr(self, name) for name in ("suite", "set", "list_sha256")}
+        said: JsonObject = {name: getattr(self, name) for name in ("suite", "set", "list_sha256")}
         said |= {"score_version": SCORE_VERSION, "changed": list(self.changed)}
         text = hashlib.sha256(json.dumps(said).encode())
         for policy, found in self.episodes.items():
@@ -75,7 +75,7 @@ def result_of(episodes: Mapping[str, Sequence[EpisodeRecord]], **said: Any) -> T
     )
 
 
-def read_episodes(folder: Path) -> dict[str, tuple[EpisodeRecord, ...]]:
+def read_episodes(folder: Path) -> dict[str, Records]:
     """The episodes of a finished test, by policy. Raises ConfigError."""
     path = folder / EPISODES
     found = {}

@@ -50,6 +50,7 @@ _QUESTIONS: Final = (_GLANCE, _FAULT, _OBEDIENCE, _ARRIVAL, _ALARMS)
 _DIGITS: Final = 6
 _FAR_ENOUGH_KM: Final = 0.05  # below this a rate per kilometre says nothing
 
+Episodes = Sequence[EpisodeRecord]
 Measured = float | None  # None where nothing was measured
 Range = Interval | None  # 95 %
 
@@ -93,7 +94,7 @@ class Column:
 class _Drives:
     """The episodes of a row, and those of them that a figure may be about."""
 
-    def __init__(self, records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> None:
+    def __init__(self, records: Episodes, unaided: Episodes) -> None:
         self.all = records
         self.unaided = unaided if len(unaided) == len(records) else ()
         self.saved_lost = saved_and_lost(records, self.unaided) if self.unaided else None
@@ -129,7 +130,7 @@ def _count(name: str) -> _Sum:
     return lambda d: sum(getattr(each, name) for each in d.counted)
 
 
-def _total(records: Sequence[EpisodeRecord], name: str) -> float:
+def _total(records: Episodes, name: str) -> float:
     return math.fsum(getattr(each, name) for each in records)
 
 
@@ -417,7 +418,7 @@ GROUPS: Final = {question: [column for column in COLUMNS if column.question == q
 LOOK: Final = GROUPS[_GLANCE]  # all that a first look needs
 
 
-def row_of(policy: str, part: str, records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> ResultRow:
+def row_of(policy: str, part: str, records: Episodes, unaided: Episodes) -> ResultRow:
     """One row: a policy on one part of a suite, or on all of it.
 
     Args:
@@ -432,9 +433,7 @@ def row_of(policy: str, part: str, records: Sequence[EpisodeRecord], unaided: Se
     return ResultRow(policy=policy, part=part, **figures)
 
 
-def pooled_rows(
-    policy: str, records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]
-) -> tuple[list[ResultRow], ResultRow]:
+def pooled_rows(policy: str, records: Episodes, unaided: Episodes) -> tuple[list[ResultRow], ResultRow]:
     """A policy's rows by part, in the order of the parts' first episodes, and that of all."""
     rows = []
     for part in dict.fromkeys(record.part for record in records):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.drive import LATE_S, Piece, Watch, drive_block, refused
-from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
+from wcsim.agents.evaluation.suite.records import Records, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
 from wcsim.agents.opening.list_file import TIGHT, HashedSuite, load_suite_towns, make_block_setup, require_block_towns
 from wcsim.agents.opening.named_policy import list_policy_overrides, open_named_policy, resolve_policy_config
@@ -61,7 +61,7 @@ class SuiteOrder:
     shared: bool = False  # blocks of the user alone are read from the cache, and saved there for other tests
 
 
-def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[str, tuple[EpisodeRecord, ...]]:
+def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[str, Records]:
     """Drive all episodes with each policy; records by policy, in the order of the list.
 
     What is kept in `order.out` from before is not driven again. KeyboardInterrupt leaves what is done there.
@@ -76,13 +76,14 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     require_block_towns(file)
     towns = town_addresses(order)
     judged = _judged_blocks(file.blocks, order.forks)
-    kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]] = {}
+    kept: dict[tuple[str, int], Records] = {}
     left: list[tuple[Piece, tuple[Path, ...]]] = []
     chairs = {name: order.together if name in order.together else (name,) for name in policies}
     digests = {names[0]: _policy_digest(names[0], order) for names in chairs.values()}
     for policy, digest in digests.items():
         for index in range(len(file.blocks)):
-            key = _block_key(order, index, digest)
+            # By what its result depends on: its list, its place in it, and the policy's digest.
+            key = sha256_from_text(json.dumps([file.suite, order.suite.sha256, index, digest]))
             path, cached = order.out / KEPT / f"{key}.json", cache_folder() / f"rows-{key[:32]}.json"
             if path.is_file():
                 kept[policy, index] = _read_kept(path)
@@ -157,7 +158,7 @@ def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str
 def _drive_all(
     order: SuiteOrder,
     left: Iterable[tuple[Piece, tuple[Path, ...]]],
-    kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]],
+    kept: dict[tuple[str, int], Records],
     done: Done,
     blocks: int,
 ) -> None:
@@ -243,7 +244,7 @@ def _drive_alone(piece: Piece, at: ToLocalPath) -> bytes:
     return json.dumps(records).encode()
 
 
-def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord, ...]:
+def drive_piece(piece: Piece, watch: Watch | None = None) -> Records:
     """Drive one block in this process; a policy that cannot be used there is refused, not an error."""
     from wcsim.towns.scenario.town import find_town
 
@@ -310,7 +311,7 @@ def _read_by(name: str) -> dict[str, Path]:
     return {word: Path(word) for word in words if is_file(Path(word))}
 
 
-def _own_files(settings: Iterable[str], network: str, users: Iterable[str] = ()) -> dict[str, Path]:
+def _own_files(settings: Iterable[str], network: str, users: Iterable[str]) -> dict[str, Path]:
     """The user's own files that settings, a network's name and users lead to, by the word or the file's name.
 
     >>> _own_files(("world.action_delay_ticks=2",), "fig6", ("ataxic",))
@@ -352,12 +353,7 @@ def _judged_blocks(blocks: Sequence[SuiteBlock], episodes: int) -> frozenset[int
     return frozenset((number * len(blocks)) // wanted for number in range(wanted))
 
 
-def _block_key(order: SuiteOrder, index: int, digest: str) -> str:
-    """By what the result of a block depends on: its list, its place in it, and the policy's digest."""
-    return sha256_from_text(json.dumps([order.suite.file.suite, order.suite.sha256, index, digest]))
-
-
-def _read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
+def _read_kept(path: Path) -> Records:
     """The records of a block that was driven before. Raises ConfigError."""
     data = read_json(path, BLOCK)
     try:

@@ -26,12 +26,11 @@ memory: that row stays without advice.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer
@@ -39,16 +38,18 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecNormalize
 
-from wcsim.agents.envs.episode_view import OBJECTS, WORLD_RESTARTED
+from wcsim.agents.envs.episode_view import OBJECTS, WORLD_RESTARTED, Info
 from wcsim.agents.learning.replay.frame_store import PACK_ABOVE_BYTES, BlobCodec, WindowStore
-from wcsim.agents.learning.replay.groups import Groups, SequenceBatch
+from wcsim.agents.learning.replay.groups import Groups, SequenceBatch, Tensors
+from wcsim.agents.networks.q_network import Array
 from wcsim.agents.policy_api import DEPTH_KEY
 from wcsim.config import LearnConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
+from wcsim.supervisor.observation import Observation
 from wcsim.types import F32, I64, U8, Bool
 
-Advice = tuple[dict[str, torch.Tensor], torch.Tensor]
+Advice = tuple[Tensors, torch.Tensor]
 """Observations (B, ...), and which actions end well in them, (B, A) bool."""
 Shapes = tuple[tuple[str, tuple[int, ...]], ...]
 _Steps = deque[tuple[int, int]]  # (absolute index, seat), oldest first
@@ -101,19 +102,19 @@ class FrameReplay(ReplayBuffer):
             rows, n_envs, layout.window, layout.frame_bytes, layout.depth_bytes
         )
         self._end_codec = BlobCodec(layout.image_bytes, 0)
-        self.vectors = np.zeros((rows, n_envs, layout.vector_size), dtype=np.float32)
-        self.actions = np.zeros((rows, n_envs), dtype=np.int64)
-        self.rewards = np.zeros((rows, n_envs), dtype=np.float32)
-        self.ended = np.zeros((rows, n_envs), dtype=bool)
-        self.terminated = np.zeros((rows, n_envs), dtype=bool)
+        self.vectors = np.zeros((rows, n_envs, layout.vector_size), np.float32)
+        self.actions = np.zeros((rows, n_envs), np.int64)
+        self.rewards = np.zeros((rows, n_envs), np.float32)
+        self.ended = np.zeros((rows, n_envs), bool)
+        self.terminated = np.zeros((rows, n_envs), bool)
         # Steps since the start of the chain.
-        self.episode_step = np.zeros((rows, n_envs), dtype=np.int64)
+        self.episode_step = np.zeros((rows, n_envs), np.int64)
         self.advised = settings.aid == "oracle"
         self._action_count = int(action_space.n) if isinstance(action_space, spaces.Discrete) else 0
         # 1 where safe, packed
         advice_bytes = (self._action_count + 7) // 8
-        self.advice_bits = np.zeros((rows, n_envs, advice_bytes), dtype=np.uint8)
-        self.advice_known = np.zeros((rows, n_envs), dtype=bool)
+        self.advice_bits = np.zeros((rows, n_envs, advice_bytes), np.uint8)
+        self.advice_known = np.zeros((rows, n_envs), bool)
         self.reset()
 
     def reset(self) -> None:
@@ -139,12 +140,12 @@ class FrameReplay(ReplayBuffer):
 
     def add(
         self,
-        obs: dict[str, npt.NDArray[Any]],  # type: ignore[override]
-        next_obs: dict[str, npt.NDArray[Any]],  # type: ignore[override]
-        action: npt.NDArray[Any],
-        reward: npt.NDArray[Any],
-        done: npt.NDArray[Any],
-        infos: list[dict[str, Any]],
+        obs: Observation,  # type: ignore[override]
+        next_obs: Observation,  # type: ignore[override]
+        action: Array,
+        reward: Array,
+        done: Array,
+        infos: list[Info],
     ) -> None:
         """Store one step of every seat.
 
@@ -168,7 +169,7 @@ class FrameReplay(ReplayBuffer):
         self._forget(self.total - self.buffer_size)
         # 3. The observation, and where in its chain it is.
         previous = (row - 1) % self.buffer_size
-        starts = self.ended[previous] if self.total > 0 else np.ones(self.n_envs, dtype=bool)
+        starts = self.ended[previous] if self.total > 0 else np.ones(self.n_envs, bool)
         self.windows.write(self.total, images, starts)
         self.vectors[row] = vectors
         self.episode_step[row] = np.where(starts, 0, self.episode_step[previous] + 1)
@@ -180,9 +181,9 @@ class FrameReplay(ReplayBuffer):
         # 5. The action and its outcome.
         self.actions[row] = np.asarray(action).reshape(self.n_envs)
         self.rewards[row] = reward
-        self.ended[row] = np.asarray(done, dtype=bool)
+        self.ended[row] = np.asarray(done, bool)
         timeouts = [bool(info.get("TimeLimit.truncated", False)) for info in infos]
-        self.terminated[row] = self.ended[row] & ~np.array(timeouts, dtype=bool)
+        self.terminated[row] = self.ended[row] & ~np.array(timeouts, bool)
         # 6. The observation after it is the next row, but for seats whose episode ends here.
         self.expected = (self.layout.image_rows(next_obs), self.layout.vector_rows(next_obs))
         for seat in np.flatnonzero(self.ended[row]).tolist():
@@ -295,10 +296,10 @@ class FrameReplay(ReplayBuffer):
 
     def chains(self, starts: I64, seats: I64) -> _Chains:
         """Follow each start for up to n steps, to the end of its chain or the newest known row."""
-        returns = np.zeros(len(starts), dtype=np.float64)
-        discounts = np.ones(len(starts), dtype=np.float64)
+        returns = np.zeros(len(starts), np.float64)
+        discounts = np.ones(len(starts), np.float64)
         last = starts.copy()
-        alive = np.ones(len(starts), dtype=bool)
+        alive = np.ones(len(starts), bool)
         for step in range(self.n_step):
             index = starts + step
             rows = index % self.buffer_size
@@ -351,25 +352,25 @@ class FrameReplay(ReplayBuffer):
             while listed and listed[0][0] <= index:
                 listed.popleft()
 
-    def _store_advice(self, row: int, starts: Bool, infos: Sequence[dict[str, Any]]) -> None:
+    def _store_advice(self, row: int, starts: Bool, infos: Sequence[Info]) -> None:
         """Store the advice of a step; its `infos` hold that of the next one."""
         for seat, is_start in enumerate(starts):
             truth = None if is_start or not self._next_truths else self._next_truths[seat]
             self.advice_known[row, seat] = truth is not None
             if truth is not None:
-                safe = np.asarray(truth.safe_actions, dtype=bool)
+                safe = np.asarray(truth.safe_actions, bool)
                 self.advice_bits[row, seat] = np.packbits(safe)
                 self.list_advice(self.total, seat, some_unsafe=not safe.all())
         self._next_truths = [
             getattr(info.get(OBJECTS), "truth", None) if self.advised else None for info in infos
         ]
 
-    def _observations(self, index: I64, seats: I64) -> dict[str, torch.Tensor]:
+    def _observations(self, index: I64, seats: I64) -> Tensors:
         """The observations of these steps, (K, ...) each."""
         vectors = self.vectors[index % self.buffer_size, seats]
         return self._tensors(self.windows.read(index, seats), vectors)
 
-    def _observations_after(self, chains: _Chains, seats: I64) -> dict[str, torch.Tensor]:
+    def _observations_after(self, chains: _Chains, seats: I64) -> Tensors:
         """The observations after these chains, (K, ...) each."""
         images = self.windows.read(chains.last + 1, seats)
         vectors = self.vectors[(chains.last + 1) % self.buffer_size, seats]
@@ -377,7 +378,7 @@ class FrameReplay(ReplayBuffer):
             images[k], vectors[k] = self.observation_after_end(int(chains.last[k]), int(seats[k]))
         return self._tensors(images, vectors)
 
-    def _tensors(self, images: U8, vectors: F32) -> dict[str, torch.Tensor]:
+    def _tensors(self, images: U8, vectors: F32) -> Tensors:
         parts = self.layout.split(images, vectors)
         return {key: self.to_torch(value, copy=False) for key, value in parts.items()}
 
@@ -448,30 +449,26 @@ class _ObservationLayout:
         """Numbers in all vectors of one observation."""
         return sum(int(np.prod(shape)) for _, shape in self.vectors)
 
-    def image_rows(self, batch: Mapping[str, npt.NDArray[Any]]) -> U8:
+    def image_rows(self, batch: Observation) -> U8:
         """Images of a batch side by side, (N, image_bytes)."""
         count, frames = len(next(iter(batch.values()))), self.window
         if not self.images:
-            return np.zeros((count, 0), dtype=np.uint8)
+            return np.zeros((count, 0), np.uint8)
         parts = [
-            np.asarray(batch[key], dtype=self._dtype).reshape(count, frames, -1)
-            for key, _ in self.images
+            np.asarray(batch[key], self._dtype).reshape(count, frames, -1) for key, _ in self.images
         ]
         # As bytes: the stores behind it know no floats, and the same bits come back.
-        rows: U8 = np.concatenate(parts, axis=2).reshape(count, -1).view(np.uint8)
-        return rows
+        return np.concatenate(parts, axis=2).reshape(count, -1).view(np.uint8)
 
-    def vector_rows(self, batch: Mapping[str, npt.NDArray[Any]]) -> F32:
+    def vector_rows(self, batch: Observation) -> F32:
         """Vectors of a batch side by side, (N, vector_size)."""
         count = len(next(iter(batch.values())))
         if not self.vectors:
-            return np.zeros((count, 0), dtype=np.float32)
-        parts = [
-            np.asarray(batch[key], dtype=np.float32).reshape(count, -1) for key, _ in self.vectors
-        ]
+            return np.zeros((count, 0), np.float32)
+        parts = [np.asarray(batch[key], np.float32).reshape(count, -1) for key, _ in self.vectors]
         return np.concatenate(parts, axis=1)
 
-    def split(self, images: U8, vectors: F32) -> dict[str, npt.NDArray[Any]]:
+    def split(self, images: U8, vectors: F32) -> Observation:
         """The batch of observations that these rows were made of; the parts are views."""
         pictures = np.ascontiguousarray(images).view(self._dtype)
         return {**_parts(pictures, self.images, self.window), **_parts(vectors, self.vectors, 1)}
@@ -506,8 +503,8 @@ def _layout_of(space: spaces.Space[Any]) -> _ObservationLayout:
     return _ObservationLayout(images=tuple(images), vectors=tuple(vectors), item_bytes=sizes.pop())
 
 
-def _parts(rows: npt.NDArray[Any], shapes: Shapes, frames: int) -> dict[str, npt.NDArray[Any]]:
-    out: dict[str, npt.NDArray[Any]] = {}
+def _parts(rows: Array, shapes: Shapes, frames: int) -> Observation:
+    out: Observation = {}
     by_frame = rows.reshape(len(rows), frames, rows.shape[1] // frames)
     start = 0
     for key, shape in shapes:

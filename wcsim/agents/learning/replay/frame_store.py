@@ -65,7 +65,7 @@ class BlobCodec:
         first = _LENGTHS.size + hole_bytes
         stop = first + smooth_bytes
         steps = self._part(blob[first:stop], self._smooth)
-        frame = np.zeros(self._size, dtype=np.uint8)
+        frame = np.zeros(self._size, np.uint8)
         frame[self._smooth :] = self._part(blob[stop:], self._size - self._smooth)
         if hole_bytes:
             bits = self._part(blob[_LENGTHS.size : first], -(-self._smooth // 8))
@@ -89,9 +89,9 @@ class WindowStore:
         # The oldest window's older frames belong to steps before it.
         self._rows = steps + frames - 1
         self.frames = _frame_store(self._rows, seats, size, smooth)
-        self._chain_step = np.zeros((self._rows, seats), dtype=np.int64)  # since the chain's start
+        self._chain_step = np.zeros((self._rows, seats), np.int64)  # since the chain's start
         # The last windows, as they would be read.
-        self._last = np.zeros((seats, frames * size), dtype=np.uint8)
+        self._last = np.zeros((seats, frames * size), np.uint8)
         self.reset()
 
     def reset(self) -> None:
@@ -154,7 +154,7 @@ class _RawFrames:
     """Frames of the last steps by (absolute index, seat): flat uint8 arrays of `size` bytes."""
 
     def __init__(self, rows: int, seats: int, size: int) -> None:
-        self._frames = np.zeros((rows, seats, size), dtype=np.uint8)
+        self._frames = np.zeros((rows, seats, size), np.uint8)
 
     def write(self, index: int, seat: int, frame: U8) -> None:
         """Store a frame (size,) of the next step."""
@@ -162,13 +162,13 @@ class _RawFrames:
 
     def read(self, index: I64, seats: I64) -> U8:
         """Copies of frames, (K,) and (K,) -> (K, size)."""
-        return np.asarray(self._frames[index % len(self._frames), seats], dtype=np.uint8)
+        return self._frames[index % len(self._frames), seats]
 
 
 class _PackedFrames:
     """Frames as blobs, 3 to 24 kB for a 320x240 pair of images; their first bytes are of depth."""
 
-    def __init__(self, rows: int, seats: int, size: int, smooth: int = 0) -> None:
+    def __init__(self, rows: int, seats: int, size: int, smooth: int) -> None:
         self._blobs: list[list[bytes]] = [[b""] * seats for _ in range(rows)]
         self._size, self._codec = size, BlobCodec(size, smooth)
 
@@ -178,7 +178,7 @@ class _PackedFrames:
 
     def read(self, index: I64, seats: I64) -> U8:
         """Copies of frames, (K, size); a place never written reads as zeros."""
-        out = np.zeros((len(index), self._size), dtype=np.uint8)
+        out = np.zeros((len(index), self._size), np.uint8)
         for k, (row, seat) in enumerate(zip(index % len(self._blobs), seats, strict=True)):
             blob = self._blobs[row][seat]
             if blob:
@@ -186,7 +186,7 @@ class _PackedFrames:
         return out
 
 
-def _frame_store(rows: int, seats: int, size: int, smooth: int = 0) -> _RawFrames | _PackedFrames:
+def _frame_store(rows: int, seats: int, size: int, smooth: int) -> _RawFrames | _PackedFrames:
     """The store that fits frames of `size` bytes, the first `smooth` of depth, of `rows` steps."""
     if size <= PACK_ABOVE_BYTES:
         return _RawFrames(rows, seats, size)

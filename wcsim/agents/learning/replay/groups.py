@@ -18,13 +18,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from wcsim.types import F32, I64, U8
 
 if TYPE_CHECKING:
     from wcsim.agents.learning.replay.buffer import FrameReplay
 
-Tensors = dict[str, torch.Tensor]
+Tensors = dict[str, Tensor]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,15 +36,15 @@ class SequenceBatch:
     """
 
     observations: Tensors  # (K, P, ...)
-    states: torch.Tensor  # (K, S) as stored, at the start of the burn-in
+    states: Tensor  # (K, S) as stored, at the start of the burn-in
     # Rows (R,) of K with the same number of steps, and these steps (R, steps, ...).
-    burn_in: tuple[tuple[torch.Tensor, Tensors], ...]
-    live: torch.Tensor  # (K, L) bool: steps that the group has
-    actions: torch.Tensor  # (K, L) int64
-    returns: torch.Tensor  # (K, L) float32: unscaled n-step returns
-    discounts: torch.Tensor  # (K, L) float32: weight of the value after them
-    terminated: torch.Tensor  # (K, L) float32: 1 where nothing comes after them
-    after: torch.Tensor  # (K, L) int64: which of the P observations comes after them
+    burn_in: tuple[tuple[Tensor, Tensors], ...]
+    live: Tensor  # (K, L) bool: steps that the group has
+    actions: Tensor  # (K, L) int64
+    returns: Tensor  # (K, L) float32: unscaled n-step returns
+    discounts: Tensor  # (K, L) float32: weight of the value after them
+    terminated: Tensor  # (K, L) float32: 1 where nothing comes after them
+    after: Tensor  # (K, L) int64: which of the P observations comes after them
 
 
 class Groups:
@@ -146,7 +147,7 @@ class Groups:
     def stored_states(self, memory: FrameReplay, index: I64, seats: I64) -> tuple[F32, I64]:
         """States (K, S) at the start of the burn-in of these groups, and its steps (K,)."""
         steps = self._burned(memory, index, seats)
-        states = np.zeros((len(index), self.state_size), dtype=np.float32)
+        states = np.zeros((len(index), self.state_size), np.float32)
         for k, key in enumerate(zip((index - steps).tolist(), seats.tolist(), strict=True)):
             # None is stored where an episode starts.
             states[k] = self.states.get(key, 0.0)
@@ -167,8 +168,8 @@ def _observations(memory: FrameReplay, index: I64, seats: I64, last: I64) -> Ten
     # Those after the end of an episode are stored beside the ring.
     ended = memory.ended[(steps - 1) % memory.buffer_size, seat]
     beyond = ended & (needed[:, 1] > 0)
-    images = np.zeros((len(index), len(places), memory.layout.image_bytes), dtype=np.uint8)
-    vectors = np.zeros((len(index), len(places), memory.layout.vector_size), dtype=np.float32)
+    images = np.zeros((len(index), len(places), memory.layout.image_bytes), np.uint8)
+    vectors = np.zeros((len(index), len(places), memory.layout.vector_size), np.float32)
     (row, place), inside = needed[~beyond].T, ~beyond
     images[row, place] = memory.windows.read(steps[inside], seat[inside])
     vectors[row, place] = memory.vectors[steps[inside] % memory.buffer_size, seat[inside]]
@@ -180,7 +181,7 @@ def _observations(memory: FrameReplay, index: I64, seats: I64, last: I64) -> Ten
 
 def _burn_in_steps(
     memory: FrameReplay, index: I64, seats: I64, burned: I64
-) -> tuple[tuple[torch.Tensor, Tensors], ...]:
+) -> tuple[tuple[Tensor, Tensors], ...]:
     """The steps before these groups, those of equally many together.
 
     A network is unrolled over them at once.

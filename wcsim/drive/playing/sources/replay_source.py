@@ -245,7 +245,9 @@ def state_film(path: Path, epoch: int | None = None, town: str = "") -> Iterator
         unknown=list(NOT_IN_TRACES),
         ticks=len(chosen),
     )
-    outline = _outline(header)
+    usual = plant_spec(ChairConfig()).outline
+    length_m, middle_x_m = header.chair_box_m or (usual.length_m, usual.middle_x_m)
+    outline = replace(usual, length_m=length_m, middle_x_m=middle_x_m)
     for record in chosen:
         yield _frame(record, outline)
     yield FilmLine(kind="end", told="The whole trace is loaded.")
@@ -276,12 +278,6 @@ def _town_or_scene(name: str) -> Town:
         except TownError:
             raise no_town from None
     return town_of_folder(scene)  # what is wrong with a scene that is there is its own fault, and told
-
-
-def _outline(header: Header) -> Outline:
-    usual = plant_spec(ChairConfig()).outline
-    length_m, middle_x_m = header.chair_box_m or (usual.length_m, usual.middle_x_m)
-    return replace(usual, length_m=length_m, middle_x_m=middle_x_m)
 
 
 def _frame(record: WorldState, outline: Outline) -> FilmFrame:

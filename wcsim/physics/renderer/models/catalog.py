@@ -63,9 +63,7 @@ def _prism(profile_xz: Sequence[tuple[float, float]], half_width: float, taper: 
     def half(z: float) -> float:
         return half_width * (1.0 + (taper - 1.0) * (z - low) / (high - low))
 
-    right = [(x, -half(z), z) for x, z in profile_xz]
-    left = [(x, half(z), z) for x, z in profile_xz]
-    return _between_rings(right, left)
+    return _between_rings(*([(x, side * half(z), z) for x, z in profile_xz] for side in (-1.0, 1.0)))
 
 
 def _wheel(x: float, y: float, radius: float, width: float, sides: int) -> _Part:
@@ -73,9 +71,8 @@ def _wheel(x: float, y: float, radius: float, width: float, sides: int) -> _Part
     turn = 2.0 * np.pi * (np.arange(sides) + 0.5) / sides
     grow = 1.0 / np.cos(np.pi / sides)  # the polygon's flat sides, not its corners, stand on the ground
     ring = [(x + grow * radius * np.cos(a), radius * (1.0 + grow * np.sin(a))) for a in turn]
-    right = [(px, y - 0.5 * width, max(pz, 0.0)) for px, pz in ring]
-    left = [(px, y + 0.5 * width, max(pz, 0.0)) for px, pz in ring]
-    return _between_rings(right, left)
+    edges = (y - 0.5 * width, y + 0.5 * width)
+    return _between_rings(*([(px, edge, max(pz, 0.0)) for px, pz in ring] for edge in edges))
 
 
 def _limb(start: _Point, end: _Point, start_radius: float, end_radius: float, sides: int = 5) -> _Part:
