@@ -104,6 +104,8 @@ def world(order_file: str) -> int:
             misbehave(words, tick, life, stop=True)
             status["members"] = [] if tick == 0 or evicts(Path(order["run"]), words) else members
             say(order["status_fd"], json.dumps(status).encode() + b"\nnoise\n")
+            if tick == 2:
+                Path(order["run"], "ticks").touch()
             tick += 1
             status |= {"stage": "collect", "tick": tick, "ticks": tick, "listening": listening}
             if "idle" in words:
@@ -122,6 +124,8 @@ def client(words: list[str]) -> int:
     total = told(words, "steps", life) or 50
     try:
         while "patient" in words and not (folder.parent / "a" / "step").is_file():
+            time.sleep(TICK_S)
+        while "seated" in words and not (folder.parent / "ticks").is_file():
             time.sleep(TICK_S)
         if "waits" in words:
             Waits()

@@ -215,7 +215,7 @@ def test_a_client_that_does_not_end_when_asked_is_killed(launch, tmp_path):
 
 
 def test_a_client_without_room_is_given_up_and_the_others_go_on(launch, who_had):
-    outcome = launch({"a": "exit6=5 steps=99", "b": "steps=80"})
+    outcome = launch({"a": "seated exit6=5 steps=99", "b": "steps=80"})
     assert outcome.code == 1
     assert standings(outcome) == {"a": "given up", "b": "done"}
     assert "no disk space" in outcome.message and "a fault of kind 6" in outcome.message
