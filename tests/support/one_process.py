@@ -78,9 +78,9 @@ def files_of_at_most(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def die_after(dying: pytest.MonkeyPatch, name: str, written: int) -> None:
-    """Let a function of `core.files` write so many files, and then end the process as Ctrl-C does."""
-    left, write = [written], getattr(files, name)
+def die_after(dying: pytest.MonkeyPatch, written: int) -> None:
+    """Let so many files be written whole, and then end the process as Ctrl-C does."""
+    left, write = [written], files.write_bytes
 
     def last_words(path, data):
         if not left[0]:
@@ -88,4 +88,4 @@ def die_after(dying: pytest.MonkeyPatch, name: str, written: int) -> None:
         left[0] -= 1
         write(path, data)
 
-    dying.setattr(files, name, last_words)
+    dying.setattr(files, "write_bytes", last_words)

@@ -23,10 +23,11 @@ import sys
 import tempfile
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, Self, TypeVar
 
 if TYPE_CHECKING:
@@ -253,34 +254,44 @@ def kill_workers(pool: ProcessPoolExecutor) -> None:
         process.kill()
 
 
-class StopSignalCounter:
+class SignalContextBase(ABC):
+    """While open, signals go to `_on_signal`, and afterwards where they went; main thread only."""
+
+    def __init__(self, *numbers: int) -> None:
+        self._numbers = numbers
+        self._handlers_before: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in self._numbers:
+                self._handlers_before[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._handlers_before.items():
+            signal.signal(number, handler)
+        self._handlers_before.clear()
+
+    @abstractmethod
+    def _on_signal(self, number: int, frame: FrameType | None) -> None: ...
+
+
+class StopSignalCounter(SignalContextBase):
     """While open, SIGINT and SIGTERM are counted and have no other effect; in the main thread only.
 
     Afterwards they are ignored if there was one: the process is ending with a code that reports it.
     """
 
     def __init__(self) -> None:
+        super().__init__(signal.SIGINT, signal.SIGTERM)
         self.count = 0
-        self._handlers_before: dict[int, Any] = {}
 
-    def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._handlers_before[number] = signal.signal(number, self._on_signal)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
-        for number, handler in self._handlers_before.items():
-            signal.signal(number, signal.SIG_IGN if self.count else handler)
-        self._handlers_before.clear()
+    def __exit__(self, *error: object) -> None:
+        if self.count:
+            self._handlers_before = dict.fromkeys(self._handlers_before, signal.SIG_IGN)
+        super().__exit__(*error)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
         self.count += 1
 
 

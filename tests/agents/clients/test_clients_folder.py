@@ -59,7 +59,7 @@ def longer(config, steps):
 def test_a_process_that_ends_while_configurations_are_written_leaves_a_run_that_goes_on(folder, monkeypatch, written):
     more = {name: longer(folder.config, 900) for name in folder.clients}
     with monkeypatch.context() as dying:
-        die_after(dying, "write_bytes", written)
+        die_after(dying, written)
         with pytest.raises(KeyboardInterrupt):
             folder.rewrite(more)
             folder.with_status("running", 0)

@@ -27,8 +27,7 @@ def test_a_zone_s_own_time_is_without_the_zones_inside_and_outside_of_a_step_not
 
 def test_the_dearest_functions_of_a_world_are_named_by_part_native_ones_too():
     # Pictures so large that to draw them is dear on any machine.
-    large = ("cameras.0.width_px=320", "cameras.0.height_px=240")
-    config = resolve("quick", "world.warmup_s=5", *large)
+    config = resolve("quick", "world.warmup_s=5", "cameras.0.width_px=320", "cameras.0.height_px=240")
     rows = profiled(find_town("helsinki"), config, chairs=1, ticks=30, seed=1)
     assert len(rows) == DEAREST
     assert [row.own_ms for row in rows] == sorted((row.own_ms for row in rows), reverse=True)

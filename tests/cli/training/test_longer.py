@@ -35,7 +35,7 @@ def test_a_run_can_be_longer_and_not_shorter(run):
 @pytest.mark.parametrize("written", [0, 1, 2])
 def test_a_process_that_ends_between_two_files_leaves_a_run_that_goes_on(run, monkeypatch, written):
     with monkeypatch.context() as dying:
-        die_after(dying, "write_json", written)
+        die_after(dying, written)
         with pytest.raises(KeyboardInterrupt):
             steps_of(run, 300)
     assert steps_of(run) == (100 if written < 2 else 300)

@@ -123,10 +123,9 @@ def client(words: list[str]) -> int:
     step = int(kept.read_text()) if "--resume" in words and kept.is_file() else 0
     total = told(words, "steps", life) or 50
     try:
-        while "patient" in words and not (folder.parent / "a" / "step").is_file():
-            time.sleep(TICK_S)
-        while "seated" in words and not (folder.parent / "ticks").is_file():
-            time.sleep(TICK_S)
+        for word, awaited in (("patient", "a/step"), ("seated", "ticks")):
+            while word in words and not (folder.parent / awaited).is_file():
+                time.sleep(TICK_S)
         if "waits" in words:
             Waits()
             say(fd, json.dumps({"name": folder.name, "step": step, "total_steps": total}).encode() + b"\n")

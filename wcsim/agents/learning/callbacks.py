@@ -9,20 +9,19 @@ reward, as the network's values are.
 from __future__ import annotations
 
 import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import FrameType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
-from wcsim.agents.envs.episode_view import OBJECTS, WORLD_RESTARTED
+from wcsim.agents.envs.episode_view import OBJECTS, WORLD_RESTARTED, Info
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.agents.runs.metrics import (
@@ -33,6 +32,7 @@ from wcsim.agents.runs.metrics import (
     Value,
     read_metrics,
 )
+from wcsim.core.processes import SignalContextBase
 from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import Events
@@ -179,7 +179,7 @@ class EpisodeMetricsCallback(SeqDqnCallback):
             }
         )
 
-    def _write_episode_row(self, seat: int, info: dict[str, Any]) -> None:
+    def _write_episode_row(self, seat: int, info: Info) -> None:
         learner, sums = self.learner, self._by_seat[seat]
         # Its world ended before its first step.
         if not sums.kpis.ticks:
@@ -209,7 +209,7 @@ class EpisodeMetricsCallback(SeqDqnCallback):
         return int(self.learner.plan.phase(self.num_timesteps - self.learner.n_envs))
 
 
-class StopSignalHandler:
+class StopSignalHandler(SignalContextBase):
     """While open, SIGINT and SIGTERM request a stop; a second signal stops at once.
 
     Only in the main thread. Where a launcher ends this process, no user waits for its end, and a
@@ -219,33 +219,21 @@ class StopSignalHandler:
 
     def __init__(self, wait_no_more: Callable[[], object] | None = None) -> None:
         """`wait_no_more` ends the waiting within a signal's handler; None without a launcher."""
+        ends_waiting = () if wait_no_more is None else (WAIT_NO_MORE,)
+        super().__init__(signal.SIGINT, signal.SIGTERM, *ends_waiting)
         self._wait_no_more = wait_no_more
         # Called by the first signal, within its handler.
         self.on_first_signal: Callable[[], object] = lambda: None
         self.requested = False
         self.forced = False  # by a second signal, which may have cut a step in two
         self.ending = False  # the last files are being written
-        self._handlers_before: dict[int, Any] = {}
 
     def raise_if_requested(self) -> None:
         """Raise KeyboardInterrupt once a stop was requested."""
         if self.requested:
             raise KeyboardInterrupt
 
-    def __enter__(self) -> StopSignalHandler:
-        if threading.current_thread() is threading.main_thread():
-            ends_waiting = () if self._wait_no_more is None else (WAIT_NO_MORE,)
-            for number in (signal.SIGINT, signal.SIGTERM, *ends_waiting):
-                self._handlers_before[number] = signal.signal(number, self._handle)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        for number, handler in self._handlers_before.items():
-            signal.signal(number, handler)
-        self._handlers_before.clear()
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        del frame
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
         again = self.requested or number == WAIT_NO_MORE
         self.requested = True
         if not again:
@@ -270,8 +258,8 @@ class _DiscountedReturn:
     True
     """
 
-    gamma: float
-    scale: float  # of rewards
+    gamma: float = 1.0
+    scale: float = 1.0  # of rewards
     start_value: float | None = None  # of the greedy action at the start
     _sum: float = 0.0
     _weight: float = 1.0  # of the next reward
@@ -300,11 +288,9 @@ class _EpisodeSums:
     reward: float = 0.0
     progress_m: float = 0.0
     greedy: list[float] = field(default_factory=list)  # joystick distances
-    discounted: _DiscountedReturn = field(
-        default_factory=lambda: _DiscountedReturn(gamma=1.0, scale=1.0)
-    )
+    discounted: _DiscountedReturn = field(default_factory=_DiscountedReturn)
 
-    def add(self, reward: float, info: dict[str, Any]) -> None:
+    def add(self, reward: float, info: Info) -> None:
         """Add a step, by an environment's `info`."""
         self.reward += reward
         self.discounted.add(reward)
@@ -314,7 +300,7 @@ class _EpisodeSums:
         distance = float(info.get("joystick_distance", 0.0))
         self.kpis = self.kpis.plus(happened, distance, float(info.get("speed_mps", 0.0)))
 
-    def row(self, info: dict[str, Any], crashed: bool) -> dict[str, Value]:
+    def row(self, info: Info, crashed: bool) -> dict[str, Value]:
         """The row of metrics.csv for an episode that ended with this step.
 
         `cut` is 1 where its world ended it.
@@ -334,6 +320,6 @@ class _EpisodeSums:
         }
 
 
-def _events(info: dict[str, Any]) -> Events | None:
+def _events(info: Info) -> Events | None:
     """The events of a step; None of an environment that has none."""
     return getattr(info.get(OBJECTS), "events", None)

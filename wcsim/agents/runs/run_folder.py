@@ -39,7 +39,7 @@ from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.load import Layer
 from wcsim.config.plant import read_own_plant_bytes
 from wcsim.config.run_file import RunManifestFile
-from wcsim.core import files
+from wcsim.core.files import sha256_from_text, write_bytes, write_json
 from wcsim.core.processes import run_command
 from wcsim.core.reading import METRIC_LINES, RUN, JsonObject, escape, is_file, is_folder, read_lines
 from wcsim.core.reading import read_json as read_bounded_json
@@ -129,12 +129,12 @@ class RunFolder:
     def manifest_sha256(self) -> str:
         """Digest of what the run was made with, the same before and after it ends."""
         manifest = replace(self.manifest, status="running", steps=0)
-        return files.sha256_from_text(json.dumps(asdict(manifest), sort_keys=True))
+        return sha256_from_text(json.dumps(asdict(manifest), sort_keys=True))
 
     def with_status(self, status: Status, steps: int) -> RunFolder:
         """Write a new status into the manifest."""
         manifest = replace(self.manifest, status=status, steps=steps)
-        files.write_json(self.path / MANIFEST, asdict(manifest))
+        write_json(self.path / MANIFEST, asdict(manifest))
         return replace(self, manifest=manifest)
 
     def event(self, kind: str, **values: str | int | float) -> None:
@@ -205,9 +205,9 @@ def create_run_folder(path: Path, config: RunConfig, manifest: RunManifest) -> R
     (path / _CHECKPOINTS).mkdir(parents=True)
     (path / _POLICIES).mkdir()
     if plant:
-        files.write_bytes(path / PLANT, plant)
-    files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
-    files.write_json(path / MANIFEST, asdict(manifest))
+        write_bytes(path / PLANT, plant)
+    write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
+    write_json(path / MANIFEST, asdict(manifest))
     # Without a plant of its own the folder fixes nothing more.
     saved = resolve(config, _saved_plant(path)) if plant else config
     return RunFolder(path=path, config=saved, manifest=manifest)
@@ -383,10 +383,10 @@ def extend_run_steps(run: Path, steps: int, fade: float | None = None) -> None:
         raise PolicyError(f"{run / CONFIG}: {error}") from None
     # The manifest knows both hashes while the configuration is replaced.
     manifest = {**manifest, "config_sha256": config.digest()}
-    files.write_json(run / MANIFEST, {**manifest, "config_was_sha256": was_sha256})
-    files.write_json(run / CONFIG, data)
+    write_json(run / MANIFEST, {**manifest, "config_was_sha256": was_sha256})
+    write_json(run / CONFIG, data)
     manifest.pop("config_was_sha256", None)
-    files.write_json(run / MANIFEST, manifest)
+    write_json(run / MANIFEST, manifest)
 
 
 def _git_revision() -> str:

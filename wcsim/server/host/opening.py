@@ -82,7 +82,19 @@ def open_server_parts(order: WorldProcessSpec, make: MakeWorld = make_street_wor
         return ServerParts(world=world, core=ServerCore(order.rules), journal=None)
     # 1. The journal of an earlier process must be of the same world.
     path = Path(order.run) / JOURNAL
-    header = _header(order, has_town=make is make_street_world)
+    names = (order.town, *order.more_towns) if make is make_street_world else ()
+    header = Header(
+        name=order.name,
+        town=order.town,
+        more_towns=order.more_towns,
+        town_sha256=towns_hash(tuple(map(requested_town, names))),
+        config=order.config.model_dump_json(),
+        seed=order.seed,
+        seats=order.rules.capacity,
+        tick_s=order.config.world.tick_s,
+        fingerprint=make_software_fingerprint(),
+        hook=order.hook,
+    )
     parts = list_log_parts(path)
     if parts:
         _require_same(parts[-1], header)
@@ -107,22 +119,6 @@ def open_server_parts(order: WorldProcessSpec, make: MakeWorld = make_street_wor
         raise
     core = ServerCore(_rules_after(order, last), epoch)
     return ServerParts(world=world, core=core, journal=journal)
-
-
-def _header(order: WorldProcessSpec, has_town: bool) -> Header:
-    towns = tuple(map(requested_town, (order.town, *order.more_towns) if has_town else ()))
-    return Header(
-        name=order.name,
-        town=order.town,
-        more_towns=order.more_towns,
-        town_sha256=towns_hash(towns),
-        config=order.config.model_dump_json(),
-        seed=order.seed,
-        seats=order.rules.capacity,
-        tick_s=order.config.world.tick_s,
-        fingerprint=make_software_fingerprint(),
-        hook=order.hook,
-    )
 
 
 def _require_same(path: Path, order: Header) -> None:

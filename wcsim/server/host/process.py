@@ -17,7 +17,6 @@ import time
 from collections.abc import Collection, Container, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from types import FrameType
 from typing import Final
 
 import msgspec
@@ -51,13 +50,7 @@ from wcsim.server.protocol.limits import NO_ROOM, explain_resource_limit_error, 
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldProcessSpec, measure_rss_mb, read_spec_file
 from wcsim.server.transport.shared_images import SharedImageWriter
-from wcsim.server.transport.sockets import (
-    LOCAL,
-    REMOTE,
-    IncomingMessage,
-    PeerLimits,
-    ServerSockets,
-)
+from wcsim.server.transport.sockets import LOCAL, REMOTE, IncomingMessage, PeerLimits, ServerSockets
 
 SETTLED_TICKS: Final = 100  # the memory that an epoch starts with is measured after so many ticks
 _GROWTH_MB: Final = 1_000.0  # by which a process may grow in an epoch
@@ -126,7 +119,7 @@ class _StopRequest:
         self.reason = ""
         self._is_immediate = True
         self._parent = os.getppid()
-        signal.signal(signal.SIGTERM, self._on_sigterm)
+        signal.signal(signal.SIGTERM, lambda *_: self._stop("requested to stop"))
         # Ctrl-C at a terminal reaches the whole process group; the parent decides what it means.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(_PARENT_ENDED, self._on_parent_ended)
@@ -140,12 +133,7 @@ class _StopRequest:
         finally:
             self._is_immediate = False
 
-    def _on_sigterm(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self._stop("requested to stop")
-
-    def _on_parent_ended(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+    def _on_parent_ended(self, *_: object) -> None:
         # The kernel also sends this when only the thread that started this process has ended.
         if os.getppid() != self._parent:
             self._stop(_PARENT_ENDED_REASON)
@@ -263,7 +251,10 @@ class _ServerLoop:
     def _receive(self, incoming: IncomingMessage) -> None:
         # 1. A peer that sends too much is refused, and in the end not answered any more.
         peer = incoming.peer
-        is_admitted = self._peers.admit(peer, self._clock.now_s, self._present_peers)
+        everyone = self._core.roster.everyone
+        is_admitted = self._peers.admit(
+            peer, self._clock.now_s, lambda: {p.peer for p in everyone()}
+        )
         if is_admitted is None:
             return
         if not is_admitted:
@@ -304,9 +295,6 @@ class _ServerLoop:
         """The sessions that joined first through these connections."""
         everyone = self._core.roster.everyone()
         return [p.session for p in everyone if self._first_peers.get(p.session) in peers]
-
-    def _present_peers(self) -> set[Peer]:
-        return {p.peer for p in self._core.roster.everyone()}
 
     def _feed(self, event: Event) -> None:
         """Have the host handle an event, and send the replies."""

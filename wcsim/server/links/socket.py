@@ -352,11 +352,11 @@ def _private_rules(capacity: int, expected: int) -> ServerRules:
 def _connect(socket: zmq.Socket[bytes], order: SeatRequest) -> None:
     for option, value in _OPTIONS.items():
         socket.setsockopt(option, value)
-    socket.setsockopt(zmq.IPV6, order.endpoint.startswith("tcp://["))
+    socket.ipv6 = order.endpoint.startswith("tcp://[")
     if order.keys:
-        pair = read_client_keys(Path(order.keys), order.name)
-        socket.curve_serverkey = read_server_public_key(Path(order.keys))
-        socket.curve_publickey, socket.curve_secretkey = pair.public, pair.secret
+        keys = Path(order.keys)
+        socket.curve_publickey, socket.curve_secretkey = read_client_keys(keys, order.name)
+        socket.curve_serverkey = read_server_public_key(keys)
     try:
         socket.connect(order.endpoint)
     except zmq.ZMQError as error:

@@ -10,6 +10,7 @@ order of their messages.
 """
 
 import math
+from copy import copy
 from dataclasses import replace
 from typing import Self
 
@@ -38,9 +39,9 @@ class TickBarrier:
 
     def copied(self) -> Self:
         """A barrier in the same state that changes by itself."""
-        copy = type(self).__new__(type(self))
-        copy.__dict__.update(self.__dict__, roster=self.roster.copied(), out=[])
-        return copy
+        other = copy(self)
+        other.roster, other.out = self.roster.copied(), []
+        return other
 
     def late(self) -> tuple[str, ...]:
         """Names of those for whom the barrier waits."""

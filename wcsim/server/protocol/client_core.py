@@ -10,6 +10,7 @@ nothing else: its action is the tick request.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
@@ -160,9 +161,7 @@ class ClientCore:
 
     def copied(self) -> ClientCore:
         """A core in the same state that changes by itself; sessions come from the same source."""
-        copy = type(self).__new__(type(self))
-        copy.__dict__.update(self.__dict__)
-        return copy
+        return copy(self)
 
     # --- what comes in ---
 

@@ -274,20 +274,16 @@ def _decode(data: bytes, decoder: msgspec.msgpack.Decoder[Any], limit_bytes: int
     try:
         message = decoder.decode(data)
         if isinstance(message, Join):
-            _require_known_fields(message.spec, data)
+            # msgspec passes over fields that a dataclass does not have.
+            msgspec.convert(message.spec.profile, b.Place)
+            received = msgspec.msgpack.decode(data)[1 + Join.__struct_fields__.index("spec")]
+            if msgspec.msgpack.decode(_ENCODER.encode(message.spec)) != received:
+                raise ValueError("a seat is asked for with fields of another protocol")
         return message
     except (msgspec.MsgspecError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise ProtocolError(
             f"a message does not fit protocol {PROTOCOL}: {escape(error, 200)}"
         ) from None
-
-
-def _require_known_fields(spec: SeatSpec, data: bytes) -> None:
-    """Refuse fields of a join that msgspec passes over because a dataclass does not have them."""
-    msgspec.convert(spec.profile, b.Place)
-    received = msgspec.msgpack.decode(data)[1 + Join.__struct_fields__.index("spec")]
-    if msgspec.msgpack.decode(_ENCODER.encode(spec)) != received:
-        raise ValueError("a seat is asked for with fields of another protocol")
 
 
 def _require_whole(client: ClientSnapshot) -> None:

@@ -13,10 +13,9 @@ import shutil
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import zmq
 import zmq.auth
@@ -33,8 +32,7 @@ _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 _ADDRESS: Final = re.compile(r"tcp://(?P<host>\[[0-9A-Fa-f:.]+\]|[^:/\[\]]+):(?P<port>\d{1,5}|\*)")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _KeyPair:
+class _KeyPair(NamedTuple):
     """One party's keys, in ZeroMQ's text form."""
 
     public: bytes
@@ -192,7 +190,7 @@ def _load_pair(path: Path) -> _KeyPair:
     status = path.stat()
     if status.st_mode & 0o077 or status.st_uid not in (0, os.getuid()):
         raise ConfigError(f"{path}: other users can read this secret; run: chmod 600 {path}")
-    return _KeyPair(public=public, secret=secret)
+    return _KeyPair(public, secret)
 
 
 def _load(path: Path) -> tuple[bytes, bytes | None]:

@@ -251,28 +251,27 @@ class ServerSockets(ClosingContextBase):
     def _open(self, side: bytes, address: str, keys: Path | None) -> None:
         socket = self._context.socket(zmq.ROUTER)
         self._sockets[side] = socket
-        socket.setsockopt(zmq.LINGER, _LINGER_MS)
-        socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_REQUEST_BYTES)
-        socket.setsockopt(zmq.SNDHWM, _SEND_QUEUE[side])
-        socket.setsockopt(zmq.RCVHWM, QUEUE)
-        socket.setsockopt(zmq.IPV6, address.startswith("tcp://["))
+        socket.linger = _LINGER_MS
+        socket.maxmsgsize = m.MAX_REQUEST_BYTES
+        socket.sndhwm = _SEND_QUEUE[side]
+        socket.rcvhwm = QUEUE
+        socket.ipv6 = address.startswith("tcp://[")
         if side == REMOTE:
-            socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
+            socket.handshake_ivl = _HANDSHAKE_MS
             self._monitor = open_connection_monitor(
                 socket, zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED
             )
-            self.watch(int(self._monitor.getsockopt(zmq.FD)))
+            self.watch(self._monitor.fileno())
         if keys is not None:
-            pair = read_server_keys(keys)
             socket.curve_server = True
-            socket.curve_secretkey, socket.curve_publickey = pair.secret, pair.public
+            socket.curve_publickey, socket.curve_secretkey = read_server_keys(keys)
         try:
             socket.bind(address)
         except zmq.ZMQError as error:
             raise ConfigError(
                 f"{address}: cannot be opened ({error.strerror}); choose another address"
             ) from None
-        self._wakes.register(int(socket.getsockopt(zmq.FD)), select.EPOLLIN)
+        self._wakes.register(socket.fileno(), select.EPOLLIN)
         if side == LOCAL:
             Path(address.removeprefix("ipc://")).chmod(0o600)
 
@@ -345,15 +344,15 @@ def open_connection_monitor(socket: zmq.Socket[bytes], events: int) -> zmq.Socke
     To be called before that has any connection. From now on the kernel ends those to machines that
     do not answer.
     """
-    socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
-    socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, 2)
-    socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, 1)
-    socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, _CUT_S - 2)
-    socket.setsockopt(zmq.TCP_MAXRT, 1000 * _CUT_S)
+    socket.tcp_keepalive = 1
+    socket.tcp_keepalive_idle = 2
+    socket.tcp_keepalive_intvl = 1
+    socket.tcp_keepalive_cnt = _CUT_S - 2
+    socket.tcp_maxrt = 1000 * _CUT_S
     monitor: zmq.Socket[bytes] = socket.context.socket(zmq.PAIR)
     # No bound: ZeroMQ's thread waits for room for its events, and every connection with it. Its
     # own bound is 2,000.
-    monitor.setsockopt(zmq.RCVHWM, 0)
+    monitor.rcvhwm = 0
     address = f"inproc://news-{socket.underlying}"
     socket.monitor(address, events)
     monitor.connect(address)
