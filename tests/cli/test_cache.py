@@ -18,10 +18,9 @@ DRIVEN = ("drive-scenes/car-door-0-0123456789abcdef", "drive-towns/made-7")
 
 
 @pytest.fixture
-def cache(tmp_path, monkeypatch) -> Path:
+def cache(tmp_path, own_cache) -> Path:
     """A cache with two of ours, one that somebody left, one that is being written, and things of others."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    place = tmp_path / "cache" / "wcsim"
+    place = own_cache / "wcsim"
     place.mkdir(parents=True)
     (place / f"street-{KEY}.npz").write_bytes(b"x" * 3_000_000)
     (place / f"net-{KEY}.ok").write_text("ok\n")

@@ -40,9 +40,8 @@ def run_in_sumo(sumocfg: Path, end_s: float, folder: Path, *options: str) -> str
 
 
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache"
+def each_own_cache(own_cache: Path) -> None:
+    """Every test here has a cache of its own."""
 
 
 @pytest.fixture(scope="session")

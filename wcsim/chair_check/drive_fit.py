@@ -74,7 +74,11 @@ def fit_drive_law(drives: Sequence[RecordedDrive], draws: int = _DRAWS) -> Drive
         drives: At least one, with turns.
         draws: How often the drives are drawn anew; none: without intervals.
     """
-    usual = _usual(drives)
+    # Logarithms of the numbers (10,) that a chair has which reaches what these drives reach.
+    known = _USUAL.copy()
+    motions = np.abs(np.concatenate([drive.motion for drive in drives]))
+    known[known == 0.0] = np.percentile(motions, 99.0, axis=0)
+    usual = np.log(np.clip(known, _LEAST, _MOST))
     starts = [np.where(_IS_JERK, math.log(jerk), usual) for jerk in _JERKS_MPS3]
     # Drives hardly separate jerk and deceleration: of all that fit, the pull finds the most usual.
     pull = math.sqrt(_PULL * min(_solved(drives, start, usual, 0.0)[1] for start in starts))
@@ -93,15 +97,6 @@ def fit_drive_law(drives: Sequence[RecordedDrive], draws: int = _DRAWS) -> Drive
     return DriveLawFit(
         values=dict(zip(_NUMBERS, np.exp(found).tolist(), strict=True)), intervals=intervals
     )
-
-
-def _usual(drives: Sequence[RecordedDrive]) -> F64:
-    """Logarithms of the numbers (10,) that a chair has which reaches what these drives reach."""
-    usual = _USUAL.copy()
-    usual[usual == 0.0] = np.percentile(
-        np.abs(np.concatenate([drive.motion for drive in drives])), 99.0, axis=0
-    )
-    return np.asarray(np.log(np.clip(usual, _LEAST, _MOST)), np.float64)
 
 
 def _solved(

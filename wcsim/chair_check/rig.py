@@ -166,7 +166,13 @@ class ChairTestRig(ClosingContextBase):
                 self.chair.roll(self.chair.rolled(plane, self.setup.substeps))
             else:
                 for _ in range(self.setup.substeps):
-                    self._pull(pull_N)
+                    if pull_N > 0.0:
+                        state = self.chair.state()
+                        tied_m = state.p_WB_m - _TIED_M * forward_vector(state.yaw_rad, 0.0)
+                        force_N, frame = (-pull_N, 0.0, 0.0), pybullet.WORLD_FRAME
+                        self.bullet.applyExternalForce(
+                            self.body, -1, force_N, tied_m.tolist(), frame
+                        )
                     self.substep()
             self.chair.end_tick(None)
             ride.states.append(self.chair.state())
@@ -201,14 +207,6 @@ class ChairTestRig(ClosingContextBase):
         x_m, y_m, _ = self.chair.state().p_WB_m.tolist()
         rise_x, rise_y = self._rises
         return Plane(x_m * rise_x + y_m * rise_y, rise_x, rise_y)
-
-    def _pull(self, force_N: float) -> None:
-        if force_N > 0.0:
-            state = self.chair.state()
-            tied = state.p_WB_m - _TIED_M * forward_vector(state.yaw_rad, 0.0)
-            self.bullet.applyExternalForce(
-                self.body, -1, (-force_N, 0.0, 0.0), tied.tolist(), pybullet.WORLD_FRAME
-            )
 
     def turn_swivels(self, angle_rad: float) -> None:
         """Turn every caster's fork to an angle; 0 is trailing."""

@@ -62,17 +62,16 @@ def parse(model: type[M], data: dict[str, Any], where: str) -> M:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        causes = _causes(error.errors())
+        # Without lists that are too short only because an item is wrong.
+        errors = error.errors()
+        above = {item["loc"][:depth] for item in errors for depth in range(len(item["loc"]))}
+        causes = [
+            each for each in errors if each["type"] != "too_short" or each["loc"] not in above
+        ]
         faults = [format_validation_error(model, item) for item in causes[:_MOST_FAULTS]]
         if len(causes) > _MOST_FAULTS:
             faults.append("and more")
         raise ConfigError(f"{where}: " + "; ".join(faults)) from None
-
-
-def _causes(errors: Sequence[Any]) -> list[Any]:
-    """Pydantic's errors, without lists that are too short only because an item is wrong."""
-    above = {item["loc"][:depth] for item in errors for depth in range(len(item["loc"]))}
-    return [item for item in errors if item["type"] != "too_short" or item["loc"] not in above]
 
 
 def parse_json(model: type[M], text: str, where: str) -> M:

@@ -148,17 +148,12 @@ def wrap_angle(angle_rad: float) -> float:
     return turned + 2.0 * math.pi if turned <= -math.pi else turned
 
 
-def centre_from_front(front_m: F64, yaw_rad: float, pitch_rad: float, length_m: float) -> F64:
-    """Ground point (3,) below the middle of a box, from the middle (3,) of its front edge.
-
-    >>> centre_from_front(np.array([10.0, 0.0, 0.0]), 0.0, 0.0, 4.0).tolist()
-    [8.0, 0.0, 0.0]
-    """
-    return front_m - 0.5 * length_m * forward_vector(yaw_rad, pitch_rad)
-
-
 def front_from_centre(centre_m: F64, yaw_rad: float, pitch_rad: float, length_m: float) -> F64:
-    """The inverse of `centre_from_front`."""
+    """The middle (3,) of a box's front edge, from the ground point (3,) below the box's middle.
+
+    >>> front_from_centre(np.array([8.0, 0.0, 0.0]), 0.0, 0.0, 4.0).tolist()
+    [10.0, 0.0, 0.0]
+    """
     return centre_m + 0.5 * length_m * forward_vector(yaw_rad, pitch_rad)
 
 

@@ -84,7 +84,11 @@ def read_drive(path: Path) -> DriveRecording:
                 f"{escape(path)}: has a record that belongs in no drive; record it again"
             )
         if isinstance(record, DriveTick):
-            if before is not None and not _follows(before, record):
+            if before is not None and not (
+                record.tick == before.tick + 1
+                and record.time_s > before.time_s
+                and record.episode >= before.episode
+            ):
                 raise JournalError(
                     f"{escape(path)}: tick {record.tick} does not follow tick {before.tick}; "
                     "record it again"
@@ -101,12 +105,4 @@ def read_drive(path: Path) -> DriveRecording:
         header=scan.header,
         records=tuple(records),
         has_truncated_end=scan.truncated_bytes > 0,
-    )
-
-
-def _follows(before: DriveTick, tick: DriveTick) -> bool:
-    return (
-        tick.tick == before.tick + 1
-        and tick.time_s > before.time_s
-        and tick.episode >= before.episode
     )

@@ -96,7 +96,10 @@ class BodyPool:
         buckets = {actor_id: _bucket(move) for actor_id, move in wanted.items()}
         # Parked before any is taken: a body that becomes free serves another actor in the same tick.
         for actor_id in [key for key, body in self._used.items() if buckets.get(key) != body.bucket]:
-            self._park(self._used.pop(actor_id))
+            parked, bullet = self._used.pop(actor_id), self._engine.bullet
+            bullet.resetBasePositionAndOrientation(parked.body_id, parked.park_m, _LEVEL)
+            bullet.resetBaseVelocity(parked.body_id, _ZERO, _ZERO)
+            self._free.setdefault(parked.bucket, []).append(parked)
         for actor_id, move in wanted.items():
             body = self._used.get(actor_id)
             if body is None:
@@ -168,12 +171,6 @@ class BodyPool:
             yaw_rate_radps=move.yaw_rate_radps,
         )
         self._engine.tag(body.body_id, tag)
-
-    def _park(self, body: _Body) -> None:
-        bullet = self._engine.bullet
-        bullet.resetBasePositionAndOrientation(body.body_id, body.park_m, _LEVEL)
-        bullet.resetBaseVelocity(body.body_id, _ZERO, _ZERO)
-        self._free.setdefault(body.bucket, []).append(body)
 
     def _make(self, bucket: Bucket) -> _Body:
         kind, length_m, width_m, height_m = bucket[0], *(_BUCKET_M * steps for steps in bucket[1:])

@@ -135,7 +135,11 @@ def _images(frame: CameraFrame, env: EnvConfig, range_m: float) -> Observation:
     """The images of one camera in the configured form."""
     fold = env.classes == "cityscapes"  # kerbs to sidewalk, crosswalk to road
     if env.observation != "table3":
-        seg = _fold(frame.class_id) if fold else frame.class_id.copy()
+        seg = frame.class_id.copy()
+        if fold:
+            # Twice as fast as indexing with uint8.
+            folded = bytearray(seg.tobytes()).translate(_FOLDED)
+            seg = np.frombuffer(folded, np.uint8).reshape(seg.shape)
         images = {"seg": seg[None], "depth": encode_depth(frame.depth_m, range_m)[None]}
         if env.observation == "compact_rgb":
             if frame.rgb is None:
@@ -277,12 +281,6 @@ def _depth_codes(range_m: float) -> U8:
     codes[0] = 0  # what is smaller than any distance
     codes[_INFINITE + 1 : len(leading)] = 0  # NaN
     return codes
-
-
-def _fold(class_id: U8) -> U8:
-    # Twice as fast as indexing with uint8.
-    folded = bytearray(class_id.tobytes()).translate(_FOLDED)
-    return np.frombuffer(folded, np.uint8).reshape(class_id.shape)
 
 
 @lru_cache(maxsize=2)

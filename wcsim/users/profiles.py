@@ -207,14 +207,14 @@ def _value(key: str, value: Any, where: str) -> Any:
         raise ConfigError(f"{where}: discrete: got {escape_repr(value)}; expected true or false")
     low, high = PROFILE_LIMITS[key]
     numbers = value if key in PAIRS and isinstance(value, list) else [value]
-    fits = len(numbers) == (2 if key in PAIRS else 1)
-    if not fits or not all(_is_number(number) and low <= number <= high for number in numbers):
+    fits = len(numbers) == (2 if key in PAIRS else 1) and all(
+        # True is an int, and no number here.
+        type(number) in (int, float) and low <= number <= high
+        for number in numbers
+    )
+    if not fits:
         what = "two numbers, each" if key in PAIRS else "a number,"
         raise ConfigError(
             f"{where}: {key}: got {escape_repr(value)}; expected {what} {low:g} to {high:g}"
         )
     return tuple(map(float, numbers)) if key in PAIRS else float(value)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -63,7 +63,7 @@ def test_what_was_taken_is_given_back_only_where_there_is_room(monkeypatch):
     seen = observation(config)
     own = ACTIONS.nearest(seen["joystick"])
     dangers = iter((0.15, 0.3, 0.15, 0.15, 0.09, 0.15))
-    monkeypatch.setattr(policy, "danger", lambda _features: np.where(np.arange(81) == own, next(dangers), 0.0))
+    monkeypatch.setattr(policy, "_judge", lambda _: np.where(np.arange(81) == own, next(dangers), 0.0)[None])
     policy.reset()
     assert [policy.act(seen) == own for _ in range(6)] == [True, False, False, False, True, True]
 
@@ -72,6 +72,18 @@ def test_dangers_that_are_no_numbers_are_refused():
     policy = policy_of(base=float("nan"))
     with pytest.raises(PolicyError, match="not finite"):
         policy.act(observation(small_config()))
+
+
+def test_several_chairs_are_judged_in_one_call_as_each_by_itself_but_for_one_that_sees_nothing():
+    config, alone, together = small_config(), [policy_of(), policy_of()], [policy_of(), policy_of()]
+    together[1]._net = None  # nobody calls it
+    blind = {"joystick": np.zeros(2)}
+    for tick in range(4):
+        seen = [observation(config, tick), observation(config, tick + 10)]
+        together[0].judge_together([*zip(together, seen, strict=True), (alone[0], blind)])
+        for policy, other, what in zip(alone, together, seen, strict=True):
+            assert policy.act(what) == other.act(what)
+            assert np.array_equal(policy.unsafe, other.unsafe)
 
 
 def test_a_policy_asks_for_odometry():

@@ -39,7 +39,7 @@ def tram(way_m: float, speed: float = 5.0, kind=ActorKind.TRAM, length_m: float 
     box = actor("v:tram", 0.0, 0.0, yaw, kind, (length_m, 2.4, 3.6))
     return replace(
         box,
-        p_W_m=frames.centre_from_front(front, yaw, 0.0, length_m),
+        p_W_m=frames.front_from_centre(front, yaw, 0.0, -length_m),
         v_W_mps=speed * frames.forward_vector(yaw, 0.0),
     )
 
@@ -74,7 +74,7 @@ def test_pieces_hang_together_and_the_first_has_sumo_s_front_and_id(step_m, kind
     for piece in pieces:
         front = frames.front_from_centre(piece.p_W_m, piece.yaw_rad, piece.pitch_rad, piece.size_lwh_m[0])
         assert front == pytest.approx(ends[-1], abs=1e-6)
-        ends.append(frames.centre_from_front(piece.p_W_m, piece.yaw_rad, piece.pitch_rad, piece.size_lwh_m[0]))
+        ends.append(frames.front_from_centre(piece.p_W_m, piece.yaw_rad, piece.pitch_rad, -piece.size_lwh_m[0]))
     assert pieces[0].look is ActorLook.FRONT and pieces[-1].look is ActorLook.REAR
     assert len(set(actor_instances(pieces).colour_seed.tolist())) == 1, "all of one colour"
 

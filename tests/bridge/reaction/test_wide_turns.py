@@ -84,7 +84,7 @@ class Bend:
         front, rear = bend(np.array([front_m, front_m - BUS_M[0]]))
         yaw = math.atan2(front[1] - rear[1], front[0] - rear[0])
         bus = actor(kind, yaw=yaw, speed=speed_mps, size=(*BUS_M, 3.2), name="v:bus")
-        return replace(bus, p_W_m=frames.centre_from_front(np.array([*front, 0.0]), yaw, 0.0, BUS_M[0]))
+        return replace(bus, p_W_m=frames.front_from_centre(np.array([*front, 0.0]), yaw, 0.0, -BUS_M[0]))
 
 
 def test_a_bus_that_has_room_keeps_off_the_pavement():

@@ -126,7 +126,7 @@ def test_poses_are_those_of_frames(running):
         domain = libsumo.person if actor.id.startswith("p:") else libsumo.vehicle
         front = np.array(domain.getPosition3D(actor.id[2:]))
         yaw = frames.yaw_from_sumo(domain.getAngle(actor.id[2:]))
-        centre = frames.centre_from_front(front, yaw, actor.pitch_rad, actor.size_lwh_m[0])
+        centre = frames.front_from_centre(front, yaw, actor.pitch_rad, -actor.size_lwh_m[0])
         assert actor.p_W_m == pytest.approx(centre, abs=1e-9)
 
 

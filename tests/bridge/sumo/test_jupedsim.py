@@ -63,10 +63,8 @@ def test_an_order_to_stand_has_no_effect_and_nobody_is_removed(gate: tuple[Town,
     assert sum(after[name] > x_m + 1.0 for name, x_m in before.items()) > 13
 
 
-def test_a_walk_off_the_connected_area_kills_sumo_and_is_refused_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+@pytest.mark.usefixtures("own_cache")
+def test_a_walk_off_the_connected_area_kills_sumo_and_is_refused_first(tmp_path: Path) -> None:
     island = tmp_path / "island"
     island.mkdir()
     for file in find_scene("narrow-gate").glob("s*.*ml"):
@@ -79,10 +77,8 @@ def test_a_walk_off_the_connected_area_kills_sumo_and_is_refused_first(
 
 
 @pytest.mark.parametrize("ground", ["edge[@function='walkingarea']/lane", "junction"])
-def test_ground_without_width_is_widened_before_sumo_dies_of_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ground: str
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+@pytest.mark.usefixtures("own_cache")
+def test_ground_without_width_is_widened_before_sumo_dies_of_it(tmp_path: Path, ground: str) -> None:
     thin, _ = build_scene(find_scene("pedestrian-crossing"), tmp_path / "thin")
     root = read_root(thin.net)
     areas = root.findall(ground)

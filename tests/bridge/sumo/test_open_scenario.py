@@ -1,5 +1,4 @@
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,12 +25,6 @@ def sound(corner_town) -> Town:
 def open_theirs(sound, tmp_path):
     """Writes a stranger's scenario on the corner's streets into `theirs` and opens it; see `hostile.scenario`."""
     return lambda *written: open_town(hostile.scenario(sound, tmp_path / "theirs", *written))
-
-
-@pytest.fixture
-def own_cache(tmp_path, monkeypatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache"
 
 
 def test_a_scenario_that_kills_sumo_is_refused_and_not_remembered(open_theirs, own_cache):

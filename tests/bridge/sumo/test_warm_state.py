@@ -17,9 +17,8 @@ from wcsim.towns.scenario.town import Town, find_town, open_town
 
 
 @pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache" / "wcsim"
+def cache(own_cache):
+    return own_cache / "wcsim"
 
 
 def session_of(town: Town, held: ExitStack, seed: int = 3, *overrides: str) -> SumoSession:

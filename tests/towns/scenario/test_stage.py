@@ -252,7 +252,6 @@ def test_a_large_file_that_names_no_other_is_looked_through_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Until it changes, however little; one that writes is looked through every time."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     scanned = list[str]()
     whole = files.scan
     monkeypatch.setattr(files, "scan", lambda data, where, visit: (scanned.append(where), whole(data, where, visit)))

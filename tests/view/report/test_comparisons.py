@@ -5,18 +5,11 @@ import re
 
 import pytest
 
-from tests.view.report.results import POLICIES, records_of, write_result
+from tests.view.report.results import POLICIES, records_of
 from wcsim.agents.evaluation.suite.intervals import FEWEST
-from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.comparisons import _paired, compared
 from wcsim.view.report.pages import TEMPLATES
 from wcsim.view.report.suite_page import _comparison_table
-
-
-@pytest.fixture
-def result(tmp_path):
-    write_result(tmp_path)
-    return read_result(tmp_path)
 
 
 def said(pairs):

@@ -2,19 +2,10 @@
 
 from textwrap import wrap
 
-import pytest
-
-from tests.view.report.results import SCRIPT, crashed, record, with_episodes, write_result
+from tests.view.report.results import SCRIPT, crashed, record, with_episodes
 from wcsim.agents.evaluation.suite.records import NEEDLESS, Intervention
-from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.comparisons import _paired, verdict
 from wcsim.view.report.twin_film import telling_episode
-
-
-@pytest.fixture
-def result(tmp_path):
-    write_result(tmp_path)
-    return read_result(tmp_path)
 
 
 def only(result, *names):

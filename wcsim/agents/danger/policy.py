@@ -5,8 +5,10 @@ choice is calm, so
 that the chair does not waver between two ways round. The threshold is the assistance level, and can be set at run time.
 """
 
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 import torch
@@ -20,6 +22,7 @@ from wcsim.agents.runs.policy_file import read_danger_policy_file, require_dange
 from wcsim.agents.runs.weights import load_network, write_policy_folder
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRuleSettings
+from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, Bool
 
@@ -126,6 +129,7 @@ class DangerPolicy(HearsSent):
         self._last, self._recent = -1, 0
         self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)  # (A,) above the threshold at the last choice
         self.features: Features  # of the newest observation
+        self._judged: F64 | None = None  # (A,) dangers of what `judge_together` has taken in
 
     @property
     def warning(self) -> bool:
@@ -153,12 +157,17 @@ class DangerPolicy(HearsSent):
         """Stand still, and know nothing of the street."""
         self.extractor.forget()
         self._alarm, self._last, self._recent = AlarmState(), -1, 0
+        self._judged = None
 
     def choose(self, observation: Observation) -> int:
         """The action, while another one may still be sent."""
         stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
-        self.observe(observation)
-        danger = self.danger(self.features)
+        danger, self._judged = self._judged, None
+        if danger is None:
+            self.observe(observation)
+            (danger,) = self._judge([self.features])
+        if not np.isfinite(danger).all():
+            raise NotFinite(f"policy {self.name!r} returns dangers that are not finite; train it again")
         own = self._actions.nearest(stick)
         self._alarm = next_alarm_state(self._alarm, float(danger[own]), self.rule.warn)
         taken = own if self._recent > 1 and own != self._last else -1
@@ -177,16 +186,30 @@ class DangerPolicy(HearsSent):
         self.extractor.command(action)
         self._last = action
 
-    def danger(self, features: Features) -> F64:
-        """How bad each action is, (A,) in 0..1. Raises NotFinite when the network leaves the finite numbers."""
+    def judge_together(self, seen: Sequence[tuple[Self, Observation]]) -> None:
+        """Take in what several policies see, all with this network; judge it in one call.
+
+        Each of them is to choose for that observation next.
+        """
+        observed = []
+        for policy, observation in seen:
+            # One that cannot use what it sees says so when it chooses.
+            with suppress(PolicyError):
+                policy.observe(observation)
+                observed.append(policy)
+        if observed:
+            found = self._judge([policy.features for policy in observed])
+            for policy, danger in zip(observed, found, strict=True):
+                policy._judged = danger
+
+    def _judge(self, features: Sequence[Features]) -> F64:
+        """(B, A) how bad each action is, in 0..1; NaN where the network leaves the finite numbers."""
+        batch = map(np.concatenate, zip(*(each.batch() for each in features), strict=True))
         with torch.inference_mode():
-            tensors = [part.to(self._device) for part in to_tensors(self.extractor, *features.batch())]
-            logits = self._net(*tensors).cpu().numpy()[0]
-        if not np.isfinite(logits).all():
-            raise NotFinite(f"policy {self.name!r} returns dangers that are not finite; train it again")
+            tensors = [part.to(self._device) for part in to_tensors(self.extractor, *batch)]
+            logits = self._net(*tensors).cpu().numpy().astype(np.float64)
         # In float64 and clipped, so that exp never overflows and equal logits stay equal dangers.
-        danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))
-        return danger
+        return np.where(np.isfinite(logits), 1.0 / (1.0 + np.exp(-logits.clip(-_SURE, _SURE))), np.nan)
 
 
 def save_danger(

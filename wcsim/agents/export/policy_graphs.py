@@ -283,7 +283,11 @@ class DangerPolicyGraph(nn.Module):
         ]
         rolled = self.drive.roll_out(places, start, self.commands, holds, street_map.STEP_S)
         # 3. Dangers, and the action that the rule chooses.
-        vector = self._vector(imu, motion, sent)
+        # The vector is that of `FeatureExtractor.extract`.
+        turned = 10.0 * imu[:, street_map.TILT], imu[:, street_map.TURNS]
+        scaled = motion[:, _MOTION] / motion.new_tensor(street_map.FULL_MOTION)
+        later_s = motion.new_full((1, 1), self.delay * self.tick_s)
+        vector = torch.cat([*turned, scaled, later_s, sent.reshape(1, -1)], 1).clamp(-2.0, 2.0)
         danger = torch.sigmoid(self.net(codes[None] / 255.0, vector, self._sweep(rolled)))
         values, recent = self._choose(danger, joystick, last, recent)
         action = values.argmax(dim=1)
@@ -403,22 +407,6 @@ class DangerPolicyGraph(nn.Module):
         for number in range(self.delay):
             places, now = self.drive.advance(places, now, waiting[:, number + 1], self.tick_s)
         return places, now
-
-    def _vector(self, imu: Tensor, motion: Tensor, sent: Tensor) -> Tensor:
-        """Repeats the vector of `FeatureExtractor.extract`."""
-        scaled = motion[:, _MOTION] / motion.new_tensor(street_map.FULL_MOTION)
-        later_s = motion.new_full((1, 1), self.delay * self.tick_s)
-        vector = torch.cat(
-            [
-                10.0 * imu[:, street_map.TILT],
-                imu[:, street_map.TURNS],
-                scaled,
-                later_s,
-                sent.reshape(1, -1),
-            ],
-            1,
-        )
-        return vector.clamp(-2.0, 2.0)
 
     def _sweep(self, rolled: Places) -> Tensor:
         """Repeats `street_map.sweep`, for the places of a roll-out: (1, A, n) int64."""

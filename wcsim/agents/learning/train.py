@@ -121,7 +121,12 @@ def train_dqn(
             if run.resume:
                 before = _restore_newest(folder, model, log, alive)
             if before is not None:
-                folder = _start_segment(folder, model, env)
+                # A world cannot be saved: the run goes on in a new one, with a seed of its own.
+                step = model.num_timesteps
+                seed = seeding.derive_seed(folder.manifest.seed, "agent", "segment", step)
+                env.seed(seed)
+                folder = folder.with_status("running", step)
+                folder.event("resume", step=step, seed=seed)
             # 5. Both phases, with the logs open.
             session = _Session(
                 folder, model, before, run.resume, stop, progress, progress_every, alive
@@ -145,19 +150,6 @@ def _restore_newest(
         folder.event("begin_again")
         return None
     return found.value
-
-
-def _start_segment(folder: RunFolder, model: SeqDQN, env: DummyVecEnv) -> RunFolder:
-    """Seed the world of a run that goes on; the folder, whose status is written.
-
-    A world cannot be saved: the run goes on in a new one, with a seed of its own.
-    """
-    step = model.num_timesteps
-    seed = seeding.derive_seed(folder.manifest.seed, "agent", "segment", step)
-    env.seed(seed)
-    folder = folder.with_status("running", step)
-    folder.event("resume", step=step, seed=seed)
-    return folder
 
 
 class _Session(SeqDqnCallback):

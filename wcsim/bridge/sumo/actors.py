@@ -332,7 +332,7 @@ def _state(
     speed_mps: float,
     signals: int = 0,
 ) -> ActorState:
-    """As `frames.centre_from_front` and `frames.forward_vector`, in plain numbers: it is fast."""
+    """The inverse of `frames.front_from_centre`, in plain numbers: it is fast."""
     flat = math.cos(pitch_rad)
     ahead_x, ahead_y = flat * math.cos(yaw_rad), flat * math.sin(yaw_rad)
     ahead_z = math.sin(pitch_rad)

@@ -74,7 +74,9 @@ class RasterRenderer:
             draw(self._street, self._models, actors, shown, view, self._cull, False, target)
         if out.rgb is not None:
             _draw_marks(self._marks, view, target)
-            T_WC = _inverse(view.T_CW)
+            # Camera to world. A rotation's inverse is its transpose: exact, and without a solver.
+            T_WC, R_WC = np.empty((3, 4)), view.T_CW[:, :3].T
+            T_WC[:, :3], T_WC[:, 3] = R_WC, -R_WC @ view.T_CW[:, 3]
             _colour(self._street, view, T_WC, out.depth_m, words, out.rgb)
             _stand(actors.T_WM, shown, view, T_WC, out.depth_m, words, out.rgb)
 
@@ -84,15 +86,6 @@ def warm_up(renderer: RasterRenderer) -> None:
     camera = Pinhole(width_px=16, height_px=12, focal_px=8.0, near_m=0.1, range_m=40.0)
     T_CW = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
     renderer.render(camera, T_CW, actor_instances(()), new_images(16, 12, rgb=True, instance=True))
-
-
-def _inverse(T_CW: F64) -> F64:
-    """Camera to world, (3, 4), of a rigid T_CW."""
-    T_WC = np.empty((3, 4))
-    # A rotation's inverse is its transpose: exact, and without a solver.
-    R_WC = T_CW[:, :3].T
-    T_WC[:, :3], T_WC[:, 3] = R_WC, -R_WC @ T_CW[:, 3]
-    return T_WC
 
 
 # Windows in storeys of 3.2 m; how wide stripes and bays are is in the frame of a face. All is float32, for speed.

@@ -274,8 +274,16 @@ class Wheelchair:
         left, right = joints[0][1], joints[1][1]
         v_mps = drive_controller.speed_mps(self._axle_mps(), 0.5 * (left + right) * self._wheel_radius_m)
         self._set_motors(drive_controller.step(self._memory, self._setting, stick.x, stick.y, v_mps, left, right))
-        if self._body.arms:
-            self._push_arms()
+        if not self._body.arms:
+            return
+        # The springs of sprung casters; PyBullet adds up what it is told before a step.
+        arms = zip(self._body.springs, joints[2:], strict=False)
+        self._engine.bullet.setJointMotorControlArray(
+            self._body.id,
+            self._body.arms,
+            pybullet.TORQUE_CONTROL,
+            forces=[-arm.preload_N - arm.stiffness_Npm * up[0] - arm.damping_Nspm * up[1] for arm, up in arms],
+        )
 
     def _axle_mps(self) -> float:
         """Forward speed of the middle of the drive axle, which pitching hardly moves."""
@@ -399,16 +407,6 @@ class Wheelchair:
         """Target speeds and torque limits of the drive wheels."""
         self._engine.bullet.setJointMotorControlArray(
             self._body.id, self._body.drives, pybullet.VELOCITY_CONTROL, targetVelocities=wanted[:2], forces=wanted[2:]
-        )
-
-    def _push_arms(self) -> None:
-        """The springs of sprung casters, for the step to come; PyBullet adds up what it is told before a step."""
-        arms = zip(self._body.springs, self._joints[2:], strict=False)
-        self._engine.bullet.setJointMotorControlArray(
-            self._body.id,
-            self._body.arms,
-            pybullet.TORQUE_CONTROL,
-            forces=[-arm.preload_N - arm.stiffness_Npm * up[0] - arm.damping_Nspm * up[1] for arm, up in arms],
         )
 
     def _wake(self, awake: bool) -> None:

@@ -83,6 +83,13 @@ def test_before_the_handover_the_user_drives_alone(corner):
         assert record.reference_s / episode.reference_s == pytest.approx(record.route_m / episode.route_m, rel=1e-3)
 
 
+def test_one_call_judges_what_all_chairs_see_that_have_chosen_once(corner, monkeypatch):
+    judged = []
+    monkeypatch.setattr(Held, "judge_together", lambda _, seen: judged.append(len(seen)), raising=False)
+    drive_block(*order_of(corner, block_of(corner, max_steps=6, handover=2)), Held)
+    assert judged == [2, 2, 2]
+
+
 def test_what_ends_before_the_handover_is_not_the_policys(corner):
     """The list's step limit ends it here; the rule asks when, not how."""
     records = drive_block(*order_of(corner, block_of(corner, max_steps=20, handover=20)), lambda: Held(0.0, 0.0))

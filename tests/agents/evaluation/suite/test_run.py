@@ -52,13 +52,12 @@ def test_one_process_and_two_give_the_same_bytes_and_what_is_kept_is_not_driven_
         run_suite(SuiteOrder(suite=suite, out=tmp_path / "a"), ["follow"], lambda *said: None)
 
 
-def test_the_user_alone_drives_a_list_once_for_all_tests_of_it(corner, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def test_the_user_alone_drives_a_list_once_for_all_tests_of_it(corner, tmp_path, own_cache, monkeypatch):
     order = SuiteOrder(suite=suite_in(corner, block_of(corner, max_steps=5)), out=tmp_path / "a", shared=True)
     heard = []
     with in_this_process():
         first = run_suite(order, ["follow", "dwa"], print)
-        [rows] = (tmp_path / "cache" / "wcsim").glob("rows-*.json")
+        [rows] = (own_cache / "wcsim").glob("rows-*.json")
         with monkeypatch.context() as patch:
             patch.setattr("wcsim.agents.evaluation.suite.run.drive_block", None)
             again = run_suite(replace(order, out=tmp_path / "b"), ["follow"], lambda *said: heard.append(said))

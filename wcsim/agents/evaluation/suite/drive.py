@@ -2,11 +2,12 @@
 
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, Self, runtime_checkable
 
 from wcsim.agents.envs.episode_view import EnvStepResult, Info
 from wcsim.agents.envs.seat_driver import AgentSeatDriver, ChairAgent, PolicyAgentAdapter
@@ -102,7 +103,26 @@ def drive_block(piece: Piece, place: BlockSetup, make_policy: MakePolicy, watch:
                 seats[client.seat].take(client)
             if all(seat.record is not None for seat in watched):
                 break
+            _judge_together(seats)
     return tuple(seat.record for seat in seats if seat.record is not None)
+
+
+@runtime_checkable
+class _JudgesTogether(Policy, Protocol):
+    """A policy whose network is called once for all chairs that it drives."""
+
+    def judge_together(self, seen: Sequence[tuple[Self, Observation]]) -> None:
+        """Take in what those of one network see now; each of them chooses for that next."""
+
+
+def _judge_together(seats: Sequence["_Seat"]) -> None:
+    """Before a tick: one call of the network for all seats that one drives by now."""
+    groups = defaultdict[str, list[tuple[_JudgesTogether, Observation]]](list)
+    for seat in seats:
+        if seat.is_taken_over and isinstance(seat.policy, _JudgesTogether):
+            groups[seat.policy.name].append((seat.policy, seat.observation))
+    for group in groups.values():
+        group[0][0].judge_together(group)
 
 
 class _Seat:
@@ -113,7 +133,7 @@ class _Seat:
         self.watch: Watch | None = None
         self._piece, self._config, self._world = piece, config, world
         self._episode = piece.block.episodes[number]
-        self._policy = policy
+        self.policy = policy
         self._steps: list[KpiStep] = []  # from the handover on
         self._alarms = Alarms(config.world.tick_s)
         self._step = 0  # of the episode
@@ -124,6 +144,16 @@ class _Seat:
         self._driver = AgentSeatDriver(
             config, _Handover(agent, handover, self._actions), world.snapshot.clients[number]
         )
+
+    @property
+    def is_taken_over(self) -> bool:
+        """Whether the policy drives, and has chosen once."""
+        return self.record is None and self._step > self._episode.handover_step
+
+    @property
+    def observation(self) -> Observation:
+        """The newest one."""
+        return self._driver.observation
 
     def choose(self, now: ClientSnapshot) -> Joystick | None:
         """The stick of the policy, or of the user before the handover; none when it fails, which ends the episode."""
@@ -150,7 +180,7 @@ class _Seat:
             self._done_m += step.info["progress_m"]
             self._steps.append(KpiStep.of(step.info, self._free))
         if self.watch is not None:
-            self.watch.see(self.number, step, self._world, self._policy)
+            self.watch.see(self.number, step, self._world, self.policy)
         events = client.events
         if events.crashed:
             tick_s, reward = self._config.world.tick_s, self._config.reward
@@ -167,7 +197,7 @@ class _Seat:
         stick = self._driver.observation["joystick"]
         far = self._actions.distance(action, (float(stick[0]), float(stick[1])))
         taken = far > self._config.reward.max_follow_distance + DISTANCE_TOLERANCE
-        warned = isinstance(self._policy, Warns) and self._policy.warning
+        warned = isinstance(self.policy, Warns) and self.policy.warning
         if self._alarms.begin(driven, taken, warned) and self._piece.judged:
             tick_s = self._config.world.tick_s
             self._alarms.alone_s[driven] = crash_alone_s(self._world, self.number, self._actions, tick_s)
