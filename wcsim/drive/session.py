@@ -270,11 +270,7 @@ class DriveSession(ClosingContextBase):
         if self._ended:
             self._next(self._go_back() if self.client.events.crashed else "after the end of the last one")
         by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
-        # A request in the wish, or of the simulated user while it drives.
-        if wish.help:
-            self.ask_for_help()
-        elif by_user and self.client.events.help_asked:
-            self.ask_for_help(raises=self.place.config.world.help_users)
+        self._hear_help(wish.help, by_user)
         stick = self.client.user if by_user else self._as_set(clip_stick_to_gate(wish.stick))  # nobody sees the raw one
         self._see(stick)
         overrule = wish.overrule and self.handed_over
@@ -351,10 +347,7 @@ class DriveSession(ClosingContextBase):
         self._ended = self.client.first is not None
         if not self._ended:
             self._note_way()
-            # Where the chair has been in this episode, but for carriageways.
-            here = _xy(self.client.plant.p_WB_m)
-            if not self.client.events.on_carriageway and math.dist(here, self._trail[-1]) >= _TRAIL_M:
-                self._trail.append(here)
+            self._note_trail()
         self.ticks += 1
         self._step += 1
 
@@ -387,6 +380,13 @@ class DriveSession(ClosingContextBase):
         for observer in self._observers:
             observer(record)
 
+    def _hear_help(self, wished: bool, by_user: bool) -> None:
+        """Hear a request in the wish, or of the simulated user while it drives."""
+        if wished:
+            self.ask_for_help()
+        elif by_user and self.client.events.help_asked:
+            self.ask_for_help(raises=self.place.config.world.help_users)
+
     def _say_failure(self) -> None:
         if self.assistance.failed != self._failure:
             self._failure = self.assistance.failed
@@ -407,6 +407,12 @@ class DriveSession(ClosingContextBase):
     def _note_way(self) -> None:
         seat = self.world.seats[0]
         self.route, self.done_m = seat.route, seat.user.route_progress_m
+
+    def _note_trail(self) -> None:
+        """Where the chair has been in this episode, but for carriageways."""
+        here = _xy(self.client.plant.p_WB_m)
+        if not self.client.events.on_carriageway and math.dist(here, self._trail[-1]) >= _TRAIL_M:
+            self._trail.append(here)
 
     def _respawn(self, start: StartSpec | None = None) -> None:
         """Begin the world's next episode, which a recording then does too."""

@@ -300,12 +300,7 @@ class SimulatedUser(User):
         if self._perception.step_attention(dt_s, calm, heeds):
             self._intent = self._draw_correction(self._plan(view, body, path), view.time_s)
         else:
-            # The hand lets the steering go, and goes on with a stop.
-            x, y = self._intent.x, self._intent.y
-            x = math.copysign(max(0.0, abs(x) - _CALM_STICK * dt_s / _STRAIGHT_S), x)
-            if self._stop_m is not None and y > 0.0:
-                y = min(y, self._straight_on(body, _stopping_speed(self._stop_m - body.arc_m)).y)
-            self._intent = Joystick(x, y)
+            self._intent = self._unattended(body, dt_s)
 
         # 5. Let go where the chair stands against something. That is felt, without a look.
         if self._lets_go(body, view.time_s):
@@ -395,6 +390,14 @@ class SimulatedUser(User):
             left_m=place.left_m,
             half_m=self._outline.half_lw_m,
         )
+
+    def _unattended(self, body: PredictedChairPose, dt_s: float) -> Joystick:
+        """The stick of a look elsewhere: the hand lets the steering go, and goes on with a stop."""
+        x, y = self._intent.x, self._intent.y
+        x = math.copysign(max(0.0, abs(x) - _CALM_STICK * dt_s / _STRAIGHT_S), x)
+        if self._stop_m is not None and y > 0.0:
+            y = min(y, self._straight_on(body, _stopping_speed(self._stop_m - body.arc_m)).y)
+        return Joystick(x, y)
 
     def _draw_correction(self, stick: Joystick, time_s: float) -> Joystick:
         """The intent of a user that may steer in single corrections, which miss their size."""

@@ -64,22 +64,14 @@ def _paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> tuple[U32Arr
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
     axis[stripes] = _walking_axes(vertices_W_m, faces, face_class, thing)[stripes]
     red, green, blue = np.clip(colour * shade[:, None], 0, 255).astype(np.uint32).T
-    bays, start = _bays(corners, axis, windows)
-    frame = np.concatenate([axis * bays, start, foot[:, None]], axis=1, dtype=np.float32)
-    return red | green << 8 | blue << 16, pattern, frame
-
-
-def _bays(corners: F64, axis: F64, windows: Bool) -> tuple[F64, F64]:
-    """Bays a metre (F, 1) and the number (F, 1) of the first bay: whole bays of about BAY_M to a wall, else 1 m.
-
-    The two triangles of a wall have the same extent along it and so the same windows.
-    """
+    # Whole bays of about BAY_M to a wall: no window is cut in two by the corner of a house. Else 1 m. Both triangles
+    # of a wall have the same extent along it and so the same windows.
     along = np.einsum("fcx,fx->fc", corners[:, :, :2], axis)
     length = np.maximum(np.ptp(along, axis=1), 1e-6)
-    # Whole bays only: no window is cut in two by the corner of a house.
     bays = np.where(windows, np.maximum(np.rint(length / BAY_M), 1.0) / length, 1.0)
     start = np.where(windows, along.min(axis=1) * bays, 0.0)
-    return bays[:, None], start[:, None]
+    frame = np.concatenate([axis * bays[:, None], np.c_[start, foot]], axis=1, dtype=np.float32)
+    return red | green << 8 | blue << 16, pattern, frame
 
 
 def _connected_parts(vertices_W_m: F32, faces: I32, face_class: U8) -> I64:
@@ -175,11 +167,27 @@ class GeometryStore:
 
     def __init__(self, mesh: StreetMesh) -> None:
         rgb, pattern, frame = _paint_street(mesh.vertices_W_m, mesh.faces, mesh.face_class)
-        order, chunk_faces = _by_cell(mesh)
-        vertices, faces, chunk_vertices = _own_vertices(mesh, order, chunk_faces)
+        # 1. Sort the faces by cell of their middle: stable, so that of equal depths the first drawn stays.
+        middle = mesh.vertices_W_m[mesh.faces].mean(axis=1)[:, :2]
+        cell = np.floor(middle / CHUNK_M).astype(np.int64)
+        cell -= cell.min(axis=0, initial=0)
+        key = cell[:, 0] * (cell[:, 1].max(initial=0) + 1) + cell[:, 1]
+        order = np.argsort(key, kind="stable")
+        starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+        chunk_faces = np.append(starts, len(key)).astype(np.int32)
+
+        # 2. A vertex that two chunks share is copied: each chunk is transformed alone, and only when it is in view.
+        count = max(len(mesh.vertices_W_m), 1)
+        chunk = np.repeat(np.arange(len(chunk_faces) - 1), np.diff(chunk_faces))
+        pairs, place = np.unique(chunk[:, None] * count + mesh.faces[order], return_inverse=True)
+        vertices = np.ascontiguousarray(mesh.vertices_W_m[pairs % count], np.float32)
+        # Faces count from their chunk's first vertex.
+        first = np.searchsorted(pairs, np.arange(len(chunk_faces)) * count)
+        faces = place.reshape(-1, 3) - first[chunk][:, None]
+        chunk_vertices = first.astype(np.int32)
         self.arrays = StreetArrays(
             vertices=vertices,
-            faces=faces,
+            faces=np.ascontiguousarray(faces, np.int32),
             face_class=np.ascontiguousarray(mesh.face_class[order]),
             chunk_vertices=chunk_vertices,
             chunk_faces=chunk_faces,
@@ -256,30 +264,6 @@ def _end_to_end(starts: Sequence[I32]) -> I32:
     before = np.cumsum([0, *(part[-1] for part in starts)])
     shifted = [part[:-1] + base for part, base in zip(starts, before[:-1], strict=True)]
     return np.concatenate([*shifted, before[-1:]]).astype(np.int32)
-
-
-def _by_cell(mesh: StreetMesh) -> tuple[I64, I32]:
-    """Order (F,) that sorts the faces by cell of their middle, and the start of each cell in it (C + 1,)."""
-    middle = mesh.vertices_W_m[mesh.faces].mean(axis=1)[:, :2]
-    cell = np.floor(middle / CHUNK_M).astype(np.int64)
-    cell -= cell.min(axis=0, initial=0)
-    key = cell[:, 0] * (cell[:, 1].max(initial=0) + 1) + cell[:, 1]
-    # Stable: in a cell faces keep the mesh's order, and of equal depths the first drawn stays.
-    order = np.argsort(key, kind="stable")
-    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
-    return order, np.append(starts, len(key)).astype(np.int32)
-
-
-def _own_vertices(mesh: StreetMesh, order: I64, chunk_faces: I32) -> tuple[F32, I32, I32]:
-    """Vertices chunk by chunk (shared ones copied), faces that count from the chunk's first vertex, vertex starts."""
-    count = max(len(mesh.vertices_W_m), 1)
-    chunk = np.repeat(np.arange(len(chunk_faces) - 1), np.diff(chunk_faces))
-    # A vertex that two chunks share is copied: each chunk is transformed alone, and only when it is in view.
-    pairs, place = np.unique(chunk[:, None] * count + mesh.faces[order], return_inverse=True)
-    starts = np.searchsorted(pairs, np.arange(len(chunk_faces)) * count)
-    faces = place.reshape(-1, 3) - starts[chunk][:, None]
-    vertices = np.ascontiguousarray(mesh.vertices_W_m[pairs % count], np.float32)
-    return vertices, np.ascontiguousarray(faces, np.int32), starts.astype(np.int32)
 
 
 def _spheres(vertices: F32, starts: I32) -> F32:

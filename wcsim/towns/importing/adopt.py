@@ -176,13 +176,10 @@ def _files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
             for path in item.files(config.path.parent):
                 met.place_option(option, path, config.path)
         for path in met.read:
-            if path not in met.texts:
+            if path in met.texts:
+                _check_edges(path)
+            else:
                 _check_root(path)
-            elif not all(line.startswith(_SELECTED) for line in read_text(path, EDGES).split()):
-                raise TownError(
-                    f"{path}: is not a list of edges; expected lines such as edge:ID: "
-                    "remove it, or correct its lines"
-                )
         found = {config.path, *met.read}
         # Pictures that sumo-gui would show go along, where they can: a town does without them.
         for path in met.pictures:
@@ -197,6 +194,15 @@ def _files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
     if len(found) > _MAX_FILES:
         raise TownError(f"{config.path}: names {len(found)} files; expected at most {_MAX_FILES}")
     return tuple(sorted({Path(os.path.normpath(path.absolute())) for path in found}))
+
+
+def _check_edges(path: Path) -> None:
+    """Raise TownError for a text that is no list of edges."""
+    if not all(line.startswith(_SELECTED) for line in read_text(path, EDGES).split()):
+        raise TownError(
+            f"{path}: is not a list of edges; expected lines such as edge:ID: "
+            "remove it, or correct its lines"
+        )
 
 
 def _net_of(config: Configuration, border: Path | None) -> Path:

@@ -90,13 +90,7 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> tuple[list[st
     vehicles: list[str] = []
     root = read_root(poly)
     lots = sorted(_lots(root))
-    # The lanes of streets that are long enough to lead to a car park.
-    lanes = [
-        lane
-        for edge in net.streets
-        for lane in edge.lanes
-        if lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and lane.is_line
-    ]
+    lanes = _lanes_for_cars(net)
     if not lots or taken <= 0.0 or not lanes:
         return areas, vehicles
     lines = [shapely.LineString(lane.points_m) for lane in lanes]
@@ -223,6 +217,16 @@ def _lots(root: Element) -> Iterator[tuple[str, Polygon]]:
                 and tags.get("layer", "0") == "0"
             ):
                 yield element.get("id", ""), lot
+
+
+def _lanes_for_cars(net: Net) -> list[Lane]:
+    """The lanes of streets that are long enough to lead to a car park."""
+    return [
+        lane
+        for edge in net.streets
+        for lane in edge.lanes
+        if lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and lane.is_line
+    ]
 
 
 def _town_and_used(net: Net, root: Element) -> tuple[BaseGeometry, BaseGeometry]:

@@ -12,7 +12,7 @@ import networkx
 import shapely
 
 from wcsim.towns.ground.surfaces import lane_area
-from wcsim.towns.sumo.net import WALK_KINDS, LaneKind, net_of
+from wcsim.towns.sumo.net import WALK_KINDS, LaneKind, Net, net_of
 from wcsim.towns.sumo.xml_io import read_root, xml_bytes
 
 _SAME = 0.5  # share of the smaller one that lies on the other: then they are one on the ground
@@ -30,11 +30,7 @@ def drop_crossings(path: Path, denied: Collection[str]) -> None:
     lanes = sorted(net.lanes(LaneKind.CROSSING), key=lambda lane: (lane.length_m, lane.id))
     areas = [lane_area(lane) for lane in lanes]
     tree = shapely.STRtree(areas)
-    # The edges with lanes for walkers, joined where a link leads from one to another.
-    walkers = net.lanes(*WALK_KINDS, LaneKind.CROSSING, LaneKind.WALKINGAREA)
-    walked = {lane.edge_id for lane in walkers}
-    links = ((link.start, link.end) for link in net.connections)
-    graph = networkx.Graph(ends for ends in links if {*ends} <= walked)
+    graph = _walked_edges(net)
     removed = {lane.edge_id for lane in lanes if lane.edge_id[1:].rpartition("_c")[0] in denied}
     for lane, area in zip(lanes, areas, strict=True):
         near = [k for k in tree.query(area).tolist() if lanes[k] is not lane]
@@ -51,6 +47,15 @@ def drop_crossings(path: Path, denied: Collection[str]) -> None:
         _remove_crossing(root, edge_id)
     if removed:
         path.write_bytes(xml_bytes(root))
+
+
+def _walked_edges(net: Net) -> networkx.Graph:
+    """The edges with lanes for walkers, joined where a link leads from one to another."""
+    walked = {
+        lane.edge_id for lane in net.lanes(*WALK_KINDS, LaneKind.CROSSING, LaneKind.WALKINGAREA)
+    }
+    links = ((link.start, link.end) for link in net.connections)
+    return networkx.Graph(ends for ends in links if {*ends} <= walked)
 
 
 def _remove_crossing(root: Element, edge_id: str) -> None:

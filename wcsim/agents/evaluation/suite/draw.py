@@ -23,7 +23,7 @@ from wcsim.errors import TownError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.walking.routes import Router
 from wcsim.types import F64, Outline, Route, Street, WayKind
-from wcsim.users.crossing import KERB_GAP_M, RouteCrossing, find_route_crossings
+from wcsim.users.crossing import KERB_GAP_M, find_route_crossings
 from wcsim.users.profiles import UserProfile
 from wcsim.users.recordings.recorded_user import find_user
 
@@ -47,11 +47,7 @@ def _is_sound(street: Street, route: Route, outline: Outline) -> bool:
     room_m = outline.length_m + KERB_GAP_M
     if any(then.tls_id and then.start_m - before.end_m <= room_m for before, then in pairwise(over)):
         return False
-    return _road_beside_m(street, route, over) <= BESIDE_M
-
-
-def _road_beside_m(street: Street, route: Route, over: Sequence[RouteCrossing]) -> float:
-    """The longest stretch of carriageway on a route, m, that is on none of its crossings."""
+    # The longest stretch of carriageway on it that is on none of its crossings.
     arc_m = np.arange(0.0, route.arc_m[-1], _STEP_M)
     x_m, y_m = (np.interp(arc_m, route.arc_m, route.points_W_m[:, axis]).tolist() for axis in (0, 1))
     longest = now = 0
@@ -59,7 +55,7 @@ def _road_beside_m(street: Street, route: Route, over: Sequence[RouteCrossing]) 
         crossed = any(item.start_m <= at_m <= item.end_m for item in over)
         now = 0 if crossed or street.grid.class_here(x, y) not in ROADWAY else now + 1
         longest = max(longest, now)
-    return longest * _STEP_M
+    return longest * _STEP_M <= BESIDE_M
 
 
 class DrawPlace:
