@@ -14,7 +14,7 @@ COORDINATES = st.tuples(*[st.floats(-1e4, 1e4)] * 3).map(np.array)
 
 @given(COORDINATES, ANGLES, st.floats(-0.4, 0.4), st.floats(0.2, 30.0))
 def test_centre_and_front_are_inverse(p, yaw, pitch, length):
-    there = frames.centre_from_front(p, yaw, pitch, length)
+    there = frames.front_from_centre(p, yaw, pitch, -length)
     assert np.allclose(frames.front_from_centre(there, yaw, pitch, length), p, atol=1e-9)
     assert math.isclose(np.linalg.norm(there - p), length / 2, rel_tol=1e-6, abs_tol=1e-9)
 
@@ -41,7 +41,7 @@ def test_wrap_keeps_the_direction(angle):
 
 
 def test_a_nose_up_car_has_its_middle_below_its_front():
-    centre = frames.centre_from_front(np.zeros(3), 0.0, math.radians(5.0), 4.5)
+    centre = frames.front_from_centre(np.zeros(3), 0.0, math.radians(5.0), -4.5)
     assert centre[2] < 0.0 < -centre[0]
 
 
@@ -62,7 +62,7 @@ def test_net_and_world_are_inverse(p, origin):
 def test_from_sumo_s_front_to_our_middle_and_back(front_net, heading_deg, slope_deg, length, origin):
     """Net to W, front to middle and all the way back, any heading and slope; a person is a vehicle in this."""
     yaw, pitch = frames.yaw_from_sumo(heading_deg), frames.deg2rad(slope_deg)
-    middle = frames.centre_from_front(frames.world_from_net(front_net, origin), yaw, pitch, length)
+    middle = frames.front_from_centre(frames.world_from_net(front_net, origin), yaw, pitch, -length)
     back = frames.net_from_world(frames.front_from_centre(middle, yaw, pitch, length), origin)
     assert np.allclose(back, front_net, rtol=0.0, atol=1e-9)
     way = frames.world_from_net(front_net, origin) - middle
