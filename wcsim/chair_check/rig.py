@@ -169,9 +169,9 @@ class ChairTestRig(ClosingContextBase):
                     if pull_N > 0.0:
                         state = self.chair.state()
                         tied_m = state.p_WB_m - _TIED_M * forward_vector(state.yaw_rad, 0.0)
-                        force_N, frame = (-pull_N, 0.0, 0.0), pybullet.WORLD_FRAME
+                        force_N = -pull_N, 0.0, 0.0
                         self.bullet.applyExternalForce(
-                            self.body, -1, force_N, tied_m.tolist(), frame
+                            self.body, -1, force_N, tied_m.tolist(), pybullet.WORLD_FRAME
                         )
                     self.substep()
             self.chair.end_tick(None)

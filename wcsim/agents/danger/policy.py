@@ -198,8 +198,8 @@ class DangerPolicy(HearsSent):
                 policy.observe(observation)
                 observed.append(policy)
         if observed:
-            found = self._judge([policy.features for policy in observed])
-            for policy, danger in zip(observed, found, strict=True):
+            batch = [policy.features for policy in observed]
+            for policy, danger in zip(observed, self._judge(batch), strict=True):
                 policy._judged = danger
 
     def _judge(self, features: Sequence[Features]) -> F64:

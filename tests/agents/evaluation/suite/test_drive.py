@@ -85,7 +85,7 @@ def test_before_the_handover_the_user_drives_alone(corner):
 
 def test_one_call_judges_what_all_chairs_see_that_have_chosen_once(corner, monkeypatch):
     judged = []
-    monkeypatch.setattr(Held, "judge_together", lambda _, seen: judged.append(len(seen)), raising=False)
+    monkeypatch.setattr(Held, "judge_together", lambda _, seen: judged.append(len(seen)) or 1 / 0, raising=False)
     drive_block(*order_of(corner, block_of(corner, max_steps=6, handover=2)), Held)
     assert judged == [2, 2, 2]
 

@@ -4,7 +4,7 @@ import signal
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Final, Protocol, Self, runtime_checkable
@@ -122,7 +122,9 @@ def _judge_together(seats: Sequence["_Seat"]) -> None:
         if seat.is_taken_over and isinstance(seat.policy, _JudgesTogether):
             groups[seat.policy.name].append((seat.policy, seat.observation))
     for group in groups.values():
-        group[0][0].judge_together(group)
+        # Who fails here fails again when it chooses, and alone: the others of the block go on.
+        with suppress(Exception):
+            group[0][0].judge_together(group)
 
 
 class _Seat:
