@@ -1,4 +1,4 @@
-"""The buffers of pictures, and where those of a seat come from: what cameras, renderers and links share.
+"""The buffers of pictures, and where a seat gets its own: cameras, renderers and links share them.
 
 A client that joins has its pictures in such buffers, and loads no renderer for it.
 """
@@ -17,8 +17,9 @@ class Images:
 
     depth_m: F32  # (H, W) distance along the optical axis, range_m where nothing is hit
     class_id: U8  # (H, W) ClassId, SKY where nothing is hit
-    rgb: U8 | None = None  # (H, W, 3), drawn only when there is one
-    instance: I32 | None = None  # (H, W) row of the instance, -1 for street and sky; drawn only when there is one
+    # Drawn only where there is a buffer.
+    rgb: U8 | None = None  # (H, W, 3)
+    instance: I32 | None = None  # (H, W) row of the instance, -1 for street and sky
 
 
 SeatBuffers = tuple[Images, ...]
@@ -31,8 +32,8 @@ class ImageSink(Protocol):
     def buffers(self, seat: int, first: bool) -> SeatBuffers:
         """The buffers for the next images of a seat.
 
-        With `first` they are for the first frame of an episode, which may be taken in the same tick as the last frame
-        of the one before, and must leave that one as it is.
+        With `first` they are for the first frame of an episode. It may be taken in the same tick as
+        the last frame of the episode before, and must leave that one as it is.
         """
 
 

@@ -1,4 +1,4 @@
-"""PyBullet, loaded without the line about its build time; everybody takes it from here."""
+"""PyBullet, loaded without the line about its build time; others import it from here."""
 
 from typing import Any
 
@@ -12,19 +12,23 @@ with drop_stderr_lines(b"pybullet build time:"):
 
 
 class Bullet:
-    """One world of PyBullet without a window: the functions of `pybullet`, told in which world."""
+    """One world of PyBullet without a window: the functions of `pybullet` act in this world."""
 
     def __init__(self) -> None:
         """Raises PhysicsError when PyBullet has no free client."""
         self.number: int = pybullet.connect(pybullet.DIRECT)
         if self.number < 0:
-            raise PhysicsError("PyBullet has no free client; expected one: close other engines of this process first")
+            raise PhysicsError(
+                "PyBullet has no free client; expected one: close other engines of this process "
+                "first"
+            )
 
     def close(self) -> None:
         """End the world; a second call does nothing."""
         if self.number >= 0:
             pybullet.disconnect(self.number)
-            vars(self).clear()  # the functions know a number that the next world may get
+            # The stored functions have a number that the next world may get.
+            vars(self).clear()
             self.number = -1
 
     def __getattr__(self, name: str) -> Any:
@@ -34,6 +38,6 @@ class Bullet:
         def function(*given: Any, **named: Any) -> Any:
             return native(*given, physicsClientId=number, **named)
 
-        # Kept: from the second call on it is found without this.
+        # From the second call on it is found without this method.
         self.__dict__[name] = function
         return function

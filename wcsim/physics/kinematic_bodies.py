@@ -1,11 +1,12 @@
 """Mirror bodies: what SUMO moves, as bodies that a wheelchair can hit.
 
-A mirror body has mass 0 and gets a pose and a velocity once a tick; PyBullet carries it through the substeps. Pose
-without velocity lets a car sink half a metre into a chair before it is pushed out. Bodies are pooled per kind and size,
-made when first needed, and parked below the street while nobody needs them.
+A mirror body has mass 0 and gets a pose and a velocity once a tick; PyBullet carries it through the
+substeps. Pose without velocity lets a car sink half a metre into a chair before it is pushed out.
+Bodies are pooled per kind and size, made when first needed, and parked below the street while no
+actor needs them.
 
-A body of mass 0 cannot be pushed. That is right for a car; a person would be a wall. So a person's contact is soft: it
-gives way by some centimetres and stops a chair over a tenth of a second instead of at once.
+A body of mass 0 cannot be pushed. That is right for a car; a person would be a wall. So a person's
+contact is soft: it gives way by some centimetres, and stops a chair over a tenth of a second.
 """
 
 import math
@@ -24,11 +25,13 @@ from wcsim.types import F64, ActorKind, ActorState
 Bucket = tuple[ActorKind, int, int, int]
 # Actors of almost one size share bodies, as bodies are never removed.
 _BUCKET_M: Final = 0.05
-_CLEARANCE_M: Final = 0.05  # below the middle of the anti-tips (0.07 m): nothing of a chair slides under a vehicle
+# Below the middle of the anti-tips (0.07 m): nothing of a chair slides under a vehicle.
+_CLEARANCE_M: Final = 0.05
 UPRIGHT: Final = (ActorKind.PEDESTRIAN,)
 _PARK_STEP_M: Final = 30.0
 _FRICTION: Final = 0.5
-_SOFT_NPM: Final = 50_000.0  # a person's body: 190 kg at walking pace sink in by 3 cm and are hardly thrown back
+# A person's body: 190 kg at walking pace sink in by 3 cm, and are hardly thrown back.
+_SOFT_NPM: Final = 50_000.0
 _SOFT_NSPM: Final = 5_000.0
 _ZERO: Final[Vec3] = (0.0, 0.0, 0.0)
 _LEVEL: Final = (0.0, 0.0, 0.0, 1.0)
@@ -38,8 +41,9 @@ _LEVEL: Final = (0.0, 0.0, 0.0, 1.0)
 class BodyMove:
     """An actor's pose at the start of a tick, and the velocity that carries it to the next.
 
-    PyBullet turns the velocity of a turning body along with it. With the tick's length in `dt_s` the first velocity is
-    chosen so that the arc ends where the straight way would have ended; without it the end is up to 4 cm beside.
+    PyBullet turns the velocity of a turning body along with it. With the tick's length in `dt_s`
+    the first velocity makes the arc end where the straight way would have ended. Without it the end
+    is up to 4 cm beside.
     """
 
     actor: ActorState
@@ -84,23 +88,29 @@ class BodyPool:
         return self._made
 
     def place(self, moves: Sequence[BodyMove]) -> None:
-        """Give every listed actor a body with its pose and velocity; everybody else's is parked.
+        """Give every listed actor a body with its pose and velocity, and park the other bodies.
 
         Raises:
             PhysicsError: An actor is listed twice, or its pose, velocity or size cannot be used.
         """
-        # By id: which pooled body an actor gets must not depend on the order of the moves.
-        wanted = {move.actor.id: move for move in sorted(moves, key=lambda move: move.actor.id)}
-        if len(wanted) != len(moves):
-            raise PhysicsError(f"{len(moves)} moves for {len(wanted)} actors; expected one move for each actor")
-        buckets = {actor_id: _bucket(move) for actor_id, move in wanted.items()}
-        # Parked before any is taken: a body that becomes free serves another actor in the same tick.
-        for actor_id in [key for key, body in self._used.items() if buckets.get(key) != body.bucket]:
+        # 1. By id: which pooled body an actor gets must not depend on the order of the moves.
+        move_of = {move.actor.id: move for move in sorted(moves, key=lambda move: move.actor.id)}
+        if len(move_of) != len(moves):
+            raise PhysicsError(
+                f"{len(moves)} moves for {len(move_of)} actors; expected one move for each actor"
+            )
+        buckets = {actor_id: _bucket(move) for actor_id, move in move_of.items()}
+
+        # 2. Park before any is taken: a free body serves another actor in the same tick.
+        unused = [key for key, body in self._used.items() if buckets.get(key) != body.bucket]
+        for actor_id in unused:
             parked, bullet = self._used.pop(actor_id), self._engine.bullet
             bullet.resetBasePositionAndOrientation(parked.body_id, parked.park_m, _LEVEL)
             bullet.resetBaseVelocity(parked.body_id, _ZERO, _ZERO)
             self._free.setdefault(parked.bucket, []).append(parked)
-        for actor_id, move in wanted.items():
+
+        # 3. Move the bodies of the listed actors.
+        for actor_id, move in move_of.items():
             body = self._used.get(actor_id)
             if body is None:
                 bucket = buckets[actor_id]
@@ -115,7 +125,11 @@ class BodyPool:
         return self._used.keys()
 
     def pose(self, actor_id: str) -> tuple[float, float, float, float]:
-        """Ground point x, y, z and yaw of an actor's body as PyBullet has it. Raises PhysicsError when it has none."""
+        """Ground point x, y, z (m) and yaw (rad) of an actor's body as PyBullet has it.
+
+        Raises:
+            PhysicsError: The actor has no body.
+        """
         body = self._body(actor_id)
         (x, y, z), q = self._engine.bullet.getBasePositionAndOrientation(body.body_id)
         qx, qy, qz, qw = q
@@ -126,7 +140,7 @@ class BodyPool:
         return x - h * up_x, y - h * up_y, z - h * up_z, yaw
 
     def poses(self) -> dict[str, tuple[F64, float]]:
-        """Ground point (3,) and yaw of every actor's body as PyBullet has them, by actor id."""
+        """Ground point (3,) and yaw (rad) of every actor's body as PyBullet has them, by actor."""
         found = {}
         # By id: the order in which the bodies were taken must not show in a state.
         for actor_id in sorted(self._used):
@@ -141,27 +155,38 @@ class BodyPool:
     def _body(self, actor_id: str) -> _Body:
         body = self._used.get(actor_id)
         if body is None:
-            raise PhysicsError(f"actor {actor_id!r} has no body; expected one of the {self.count} placed last")
+            raise PhysicsError(
+                f"actor {actor_id!r} has no body; expected one of the {self.count} placed last"
+            )
         return body
 
     def _move(self, body: _Body, move: BodyMove) -> None:
         actor, bullet = move.actor, self._engine.bullet
         q = quaternion_from_ypr(actor.yaw_rad, actor.pitch_rad)
-        level = actor.pitch_rad == 0.0
-        ux, uy, uz = (
-            (0.0, 0.0, body.middle_m) if level else rotate_vector(matrix_from_quaternion(q), 0.0, 0.0, body.middle_m)
-        )
-        (x, y, z), (vx, vy, vz) = actor.p_W_m.tolist(), move.v_W_mps.tolist()
+        ux, uy, uz = 0.0, 0.0, body.middle_m
+        if actor.pitch_rad:
+            ux, uy, uz = rotate_vector(matrix_from_quaternion(q), ux, uy, uz)
+        x, y, z = actor.p_W_m.tolist()
+        vx, vy, vz = move.v_W_mps.tolist()
         sx, sy = vx, vy
         if move.yaw_rate_radps and move.dt_s:
             turn_rad = move.yaw_rate_radps * move.dt_s
-            if not level:  # its middle leans out over the ground point, and turns about it
+            # A middle that leans out over the ground point turns about it.
+            if actor.pitch_rad:
                 c, s = math.cos(turn_rad), math.sin(turn_rad)
-                sx, sy = vx + (c * ux - s * uy - ux) / move.dt_s, vy + (s * ux + c * uy - uy) / move.dt_s
-            sx, sy = _arc_start(sx, sy, turn_rad, round(move.dt_s / self._engine.step_s))
+                sx += (c * ux - s * uy - ux) / move.dt_s
+                sy += (s * ux + c * uy - uy) / move.dt_s
+            # The velocity at the start that leads to the same place as straight on. Before each
+            # step PyBullet adds to the velocity what turns it, and makes it a little longer, as the
+            # factor 1 + i step does. The way is a geometric series; without a turn it is 0 / 0.
+            if abs(turn_rad) >= 1e-9:
+                steps = round(move.dt_s / self._engine.step_s)
+                step = 1j * turn_rad / steps
+                series = (1.0 + step) ** (steps + 1) - (1.0 + step)
+                start = complex(sx, sy) * step * steps / series
+                sx, sy = start.real, start.imag
         bullet.resetBasePositionAndOrientation(body.body_id, (x + ux, y + uy, z + uz), q)
-        turn = (0.0, 0.0, move.yaw_rate_radps)
-        bullet.resetBaseVelocity(body.body_id, (sx, sy, vz), turn)
+        bullet.resetBaseVelocity(body.body_id, (sx, sy, vz), (0.0, 0.0, move.yaw_rate_radps))
         tag = BodyTag(
             role=Role.ACTOR,
             kind=actor.kind.value,
@@ -173,9 +198,8 @@ class BodyPool:
         self._engine.tag(body.body_id, tag)
 
     def _make(self, bucket: Bucket) -> _Body:
-        kind, length_m, width_m, height_m = bucket[0], *(_BUCKET_M * steps for steps in bucket[1:])
-        # Something flatter than the clearance still has a box of half its height.
-        low = min(_CLEARANCE_M, 0.5 * height_m)
+        kind, *steps = bucket
+        length_m, width_m, height_m = (_BUCKET_M * number for number in steps)
         bullet = self._engine.bullet
         if kind in UPRIGHT:
             shape = bullet.createCollisionShape(
@@ -183,10 +207,12 @@ class BodyPool:
             )
             middle = 0.5 * height_m
         else:
+            # Something flatter than the clearance still has a box of half its height.
+            low = min(_CLEARANCE_M, 0.5 * height_m)
             half = (0.5 * length_m, 0.5 * width_m, 0.5 * (height_m - low))
             shape = bullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
             middle = 0.5 * (height_m + low)
-        # Each has a place of its own, away from the parked chairs at y = 0: what is parked must not overlap.
+        # Parked bodies must not overlap: each has its own place, away from parked chairs at y = 0.
         park = (_PARK_STEP_M * (self._made + 1), 500.0, PARK_Z_M)
         body = self._engine.add_body(shape, park, BodyTag(role=Role.ACTOR, kind=kind.value))
         bullet.changeDynamics(body, -1, lateralFriction=_FRICTION)
@@ -196,37 +222,23 @@ class BodyPool:
         return _Body(body_id=body, bucket=bucket, middle_m=middle, park_m=park)
 
 
-def _arc_start(vx: float, vy: float, turn_rad: float, steps: int) -> tuple[float, float]:
-    """The velocity that leads to the same place as (vx, vy) straight on, while it turns by an angle in so many steps.
-
-    Before each of its steps PyBullet adds to the velocity what turns it (and makes it a little longer), as here the
-    factor 1 + i step does; the way is a geometric series.
-
-    >>> _arc_start(8.0, 0.0, 0.0, 24)
-    (8.0, 0.0)
-    """
-    # Without a turn the series below is 0 / 0.
-    if abs(turn_rad) < 1e-9:
-        return vx, vy
-    step = 1j * turn_rad / steps
-    start = complex(vx, vy) * step * steps / ((1.0 + step) ** (steps + 1) - (1.0 + step))
-    return start.real, start.imag
-
-
 def _bucket(move: BodyMove) -> Bucket:
-    """Kind and size in steps of 5 cm, at least one each. Raises PhysicsError for numbers that cannot be used."""
+    """Kind and size in steps of 5 cm, at least one each.
+
+    Raises:
+        PhysicsError: The move has numbers that cannot be used.
+    """
     actor = move.actor
-    (x, y, z), (vx, vy, vz) = actor.p_W_m.tolist(), move.v_W_mps.tolist()
-    length, width, height = actor.size_lwh_m
+    x, y, z = actor.p_W_m.tolist()
+    vx, vy, vz = move.v_W_mps.tolist()
     turn = actor.yaw_rad + actor.pitch_rad + move.yaw_rate_radps
-    total = x + y + z + vx + vy + vz + turn + length + width + height  # finite only when each of them is
+    length, width, height = actor.size_lwh_m
+    # The sum is finite only when each of them is.
+    total = x + y + z + vx + vy + vz + turn + length + width + height
     if not math.isfinite(total) or min(length, width, height) <= 0.0:
         raise PhysicsError(
-            f"actor {actor.id!r} has pose {actor.p_W_m}, yaw {actor.yaw_rad}, velocity {move.v_W_mps}, size "
-            f"{actor.size_lwh_m}; expected finite numbers and a positive size"
+            f"actor {actor.id!r} has pose {actor.p_W_m}, yaw {actor.yaw_rad}, velocity "
+            f"{move.v_W_mps}, size {actor.size_lwh_m}; expected finite numbers and a positive size"
         )
-    return (actor.kind, _steps(length), _steps(width), _steps(height))
-
-
-def _steps(size_m: float) -> int:
-    return max(1, round(size_m / _BUCKET_M))
+    long, wide, high = (max(1, round(side / _BUCKET_M)) for side in actor.size_lwh_m)
+    return actor.kind, long, wide, high

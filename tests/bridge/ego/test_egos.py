@@ -189,7 +189,7 @@ def test_a_user_knows_of_a_car_three_seconds_away(world):
 def test_a_chair_keeps_for_a_second_of_its_worlds_ticks_who_came_into_whom(corner):
     with empty_world(corner, "world.tick_s=0.2") as world:
         world.admit(0, SPEC)
-        assert world.seats[0].chair._log._kept_ticks == 5
+        assert world.seats[0].chair._log._apart_ticks == 5
 
 
 def script(world: World) -> list[str]:

@@ -1,4 +1,4 @@
-"""The rasteriser: depth, classes and colours of what a camera sees, on the CPU.
+"""Depth, classes and colours of what a camera sees, drawn on the CPU by the rasteriser.
 
 What a sensor makes of it is in `sensors`.
 """

@@ -14,7 +14,7 @@ from wcsim.types import F64, Bool
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pinhole:
-    """An ideal camera; its axis goes through the middle of the image, pixel (u, v) is seen at (u + 0.5, v + 0.5)."""
+    """An ideal camera; its axis is in the image's middle, pixel (u, v) is seen at (u, v) + 0.5."""
 
     width_px: int
     height_px: int
@@ -26,7 +26,14 @@ class Pinhole:
 class Renderer(Protocol):
     """A renderer over one `GeometryStore`."""
 
-    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
+    def render(
+        self,
+        camera: Pinhole,
+        T_CW: F64,
+        instances: Instances,
+        out: Images,
+        shown: Bool | None = None,
+    ) -> None:
         """Draw into `out` what a camera sees.
 
         Args:
@@ -52,10 +59,12 @@ def check_images(camera: Pinhole, out: Images) -> None:
         _check("instance", out.instance, shape, np.dtype(np.int32))
 
 
-def _check(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+def _check(
+    name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: np.dtype[Any]
+) -> None:
     usable = bool(array.flags.carray)
     if array.shape != shape or array.dtype != dtype or not usable:
         raise ConfigError(
-            f"image buffer {name} is {array.dtype} {array.shape}, writable and C-contiguous: {usable}; "
-            f"expected a writable C-contiguous {dtype} {shape}: make it with new_images()"
+            f"image buffer {name} is {array.dtype} {array.shape}, writable and C-contiguous: "
+            f"{usable}; expected a writable C-contiguous {dtype} {shape}: make it with new_images()"
         )

@@ -1,7 +1,8 @@
-"""The default renderer: a span rasteriser on the CPU, depth and class in one pass, colours on demand.
+"""The default renderer: a span rasteriser on the CPU, with colours on demand.
 
-Its second pass turns face numbers and depth into shaded, patterned, hazy colours, or into rows of instances. No kernel
-here is called by a kernel of another module, see `kernels`.
+Its first pass draws depth and class. Its second turns face numbers and depth into shaded,
+patterned, hazy colours, or into rows of instances. No kernel here is called by a kernel of another
+module, see `kernels`.
 """
 
 import numpy as np
@@ -27,17 +28,40 @@ from wcsim.physics.renderer.kernels import (
     cull,
     draw,
     draw_chunk,
-)  # fmt: skip
+)
 from wcsim.physics.renderer.models.catalog import actor_templates
 from wcsim.physics.renderer.models.paint import AMBIENT, DIFFUSE, HORIZON_RGB, SUN_W, ZENITH_RGB
 from wcsim.types import F32, F64, I32, U8, Bool
 from wcsim.types.street import join_meshes
 
+# All is float32, for speed. Windows are in storeys of 3.2 m; the widths of stripes and bays are in
+# the frame of a face.
+HALF = np.float32(0.5)
+PER_STOREY = np.float32(1 / 3.2)
+WINDOW_HALF, WINDOW_MIDDLE = np.float32(0.225), np.float32(0.53)
+SKY_STEPS = 255
+SKY_GROWTH = np.float32(1.8 * SKY_STEPS)
+CLEAR = np.float32(0.2)  # share of the range from which on there is haze, up to 160/256 at its end
+HAZE_GROWTH = np.float32(160.0 / 0.64)
+FULL, EVEN, LOW, HIGH = np.uint32(256), np.uint32(0xFF00FF), np.uint32(0xFF), np.uint32(0xFF00)
+BYTE, TWO_BYTES = np.uint32(8), np.uint32(16)
+NO_WORD = np.uint32(0)
+STRIPE_WORD = np.uint32(0xE8ECEC)  # blue, green, red from the highest byte down
+WINDOW_WORD = np.uint32(0x6C5C4E)
+# The ground: slabs of 60 cm, patches of 6 cm and 1.7 m in asphalt, 30 cm and 1 m in grass.
+PER_SLAB, JOINT = np.float32(1 / 0.6), np.float32(0.012)
+JOINT_GROWTH, NEAR_GROUND = np.float32(0.0016), np.float32(0.04)
+ASPHALT_FINE, ASPHALT_COARSE, NO_FINE_M = np.float32(16.0), np.float32(0.6), np.float32(12.0)
+GRASS_FINE, GRASS_COARSE = np.float32(3.3), np.float32(1.0)
+SHADOW_M, SHADOWS_M, FOOT_M, DARKEST = 0.18, 40.0, 0.2, 0.42
+FOOT_OF_WALL_M, NO_M = np.float32(0.7), np.float32(0.0)
+
 
 class RasterRenderer:
-    """Draws a `GeometryStore` with the compiled kernels; releases the GIL, holds nothing between pictures.
+    """Draws a `GeometryStore` with the compiled kernels, which release the GIL.
 
-    One object may draw from several threads at once, into buffers of their own.
+    It holds nothing between pictures, so it may draw from several threads at once, into buffers of
+    their own.
     """
 
     def __init__(self, store: GeometryStore, cull: bool = True) -> None:
@@ -48,9 +72,17 @@ class RasterRenderer:
         self._models = actor_templates()
         self._light = np.array([AMBIENT, DIFFUSE, *HORIZON_RGB, *ZENITH_RGB])
 
-    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
+    def render(
+        self,
+        camera: Pinhole,
+        T_CW: F64,
+        instances: Instances,
+        out: Images,
+        shown: Bool | None = None,
+    ) -> None:
         """Draw into `out`; see `Renderer.render`."""
         check_images(camera, out)
+        # 1. What is drawn, and from where.
         wordless = out.rgb is None and out.instance is None
         words = np.empty((0, 0) if wordless else out.class_id.shape, np.uint32)
         target = Target(out.depth_m, out.class_id, words)
@@ -66,57 +98,46 @@ class RasterRenderer:
         actors = instances.placed
         if shown is None:
             shown = np.ones(len(instances), np.bool_)
-        # A word holds a row or a colour: for both, everything is drawn twice.
+
+        # 2. Depth and class. A word holds a row or a colour: for both, all is drawn twice.
         if out.instance is not None:
             draw(self._street, self._models, actors, shown, view, self._cull, True, target)
             _write_instances(words, out.class_id, out.instance)
         if out.instance is None or out.rgb is not None:
             draw(self._street, self._models, actors, shown, view, self._cull, False, target)
-        if out.rgb is not None:
-            _draw_marks(self._marks, view, target)
-            # Camera to world. A rotation's inverse is its transpose: exact, and without a solver.
-            T_WC, R_WC = np.empty((3, 4)), view.T_CW[:, :3].T
-            T_WC[:, :3], T_WC[:, 3] = R_WC, -R_WC @ view.T_CW[:, 3]
-            _colour(self._street, view, T_WC, out.depth_m, words, out.rgb)
-            _stand(actors.T_WM, shown, view, T_WC, out.depth_m, words, out.rgb)
+        if out.rgb is None:
+            return
+
+        # 3. Colours, by the camera's pose in W: a rotation's inverse is its transpose, which is
+        # exact and needs no solver.
+        _draw_marks(self._marks, view, target)
+        T_WC, R_WC = np.empty((3, 4)), T_CW[:, :3].T
+        T_WC[:, :3] = R_WC
+        T_WC[:, 3] = -R_WC @ T_CW[:, 3]
+        _colour(self._street, view, T_WC, out.depth_m, words, out.rgb)
+        _stand(actors.T_WM, shown, view, T_WC, out.depth_m, words, out.rgb)
 
 
 def warm_up(renderer: RasterRenderer) -> None:
-    """Compile the kernels now (seconds on a fresh machine, then a fraction of one) instead of at the first picture."""
+    """Compile the kernels now (seconds on a fresh machine) instead of at the first picture."""
     camera = Pinhole(width_px=16, height_px=12, focal_px=8.0, near_m=0.1, range_m=40.0)
     T_CW = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
     renderer.render(camera, T_CW, actor_instances(()), new_images(16, 12, rgb=True, instance=True))
 
 
-# Windows in storeys of 3.2 m; how wide stripes and bays are is in the frame of a face. All is float32, for speed.
-HALF = np.float32(0.5)
-PER_STOREY = np.float32(1 / 3.2)
-WINDOW_HALF, WINDOW_MIDDLE = np.float32(0.225), np.float32(0.53)
-SKY_STEPS = 255
-SKY_GROWTH = np.float32(1.8 * SKY_STEPS)
-CLEAR = np.float32(0.2)  # share of the range from which on there is haze, up to 160/256 at its end
-HAZE_GROWTH = np.float32(160.0 / 0.64)
-FULL, EVEN, LOW, HIGH = np.uint32(256), np.uint32(0xFF00FF), np.uint32(0xFF), np.uint32(0xFF00)
-BYTE, TWO_BYTES = np.uint32(8), np.uint32(16)
-NO_WORD = np.uint32(0)
-STRIPE_WORD = np.uint32(0xE8ECEC)  # blue, green, red from the highest byte down
-WINDOW_WORD = np.uint32(0x6C5C4E)
-# The ground: slabs of 60 cm, patches of 6 cm and 1.7 m in asphalt, 30 cm and 1 m in grass.
-PER_SLAB, JOINT, JOINT_GROWTH, NEAR_GROUND = (
-    np.float32(1 / 0.6),
-    np.float32(0.012),
-    np.float32(0.0016),
-    np.float32(0.04),
-)
-ASPHALT_FINE, ASPHALT_COARSE, NO_FINE_M = np.float32(16.0), np.float32(0.6), np.float32(12.0)
-GRASS_FINE, GRASS_COARSE = np.float32(3.3), np.float32(1.0)
-SHADOW_M, SHADOWS_M, FOOT_M, DARKEST = 0.18, 40.0, 0.2, 0.42
-FOOT_OF_WALL_M, NO_M = np.float32(0.7), np.float32(0.0)
+@compile_fast_kernel
+def brighten(rgb: U8, table: U8) -> None:
+    """Replace each colour value of a picture (H, W, 3) by that of the table (256,), in place."""
+    height, width, _ = rgb.shape
+    for row in range(height):
+        for i in range(width):
+            for k in range(3):
+                rgb[row, i, k] = table[rgb[row, i, k]]
 
 
 @compile_fast_kernel
 def _draw_marks(marks: StreetArrays, view: View, out: Target) -> None:
-    """Put the colours of marks on the ground into the words of a drawn picture; its depth and classes stay."""
+    """Put the colours of marks on the ground into a picture's words; depth and classes stay."""
     height, width = out.inverse_z.shape
     depth = np.zeros(len(marks.spheres), np.float32)
     cull(marks.spheres, view, width, height, depth)
@@ -155,7 +176,10 @@ def _dice(i: int, j: int) -> np.float32:
 
 @compile_fast_kernel
 def _grain(pattern: int, x: np.float32, y: np.float32, far_m: np.float32) -> np.uint32:
-    """How bright the ground is at a point of W, in 256ths: slabs with joints, or patches; all fades with distance."""
+    """Brightness of the ground at a point of W, in 256ths: slabs with joints, or patches.
+
+    All fades with the distance.
+    """
     near = np.float32(1.0) - min(far_m * NEAR_GROUND, np.float32(0.85))
     if pattern == SLABS:
         across = y * PER_SLAB
@@ -165,8 +189,12 @@ def _grain(pattern: int, x: np.float32, y: np.float32, far_m: np.float32) -> np.
         edge = max(abs(along - slab - HALF), abs(across - line - HALF))
         if edge > HALF - (JOINT + far_m * JOINT_GROWTH):
             return np.uint32(256.0 - 62.0 * near)
-        return np.uint32(248.0 + 8.0 * near * (np.float32(2.0) * _dice(int(slab), int(line)) - np.float32(1.0)))
-    fine, coarse = (GRASS_FINE, GRASS_COARSE) if pattern == GRASS else (ASPHALT_FINE, ASPHALT_COARSE)
+        return np.uint32(
+            248.0 + 8.0 * near * (np.float32(2.0) * _dice(int(slab), int(line)) - np.float32(1.0))
+        )
+    fine, coarse = ASPHALT_FINE, ASPHALT_COARSE
+    if pattern == GRASS:
+        fine, coarse = GRASS_FINE, GRASS_COARSE
     patch = _dice(int(np.floor(x * coarse)), int(np.floor(y * coarse)))
     if far_m < NO_FINE_M:
         patch = HALF * (patch + _dice(int(np.floor(x * fine)), int(np.floor(y * fine))))
@@ -181,8 +209,10 @@ def _dimmed(word: np.uint32, share: np.uint32) -> np.uint32:
 
 
 @compile_fast_kernel
-def _stand(T_WM: F64, shown: Bool, view: View, T_WC: F64, depth_m: F32, words: U32Array, rgb: U8) -> None:
-    """Soft shadows on the ground under all that stands on it: darker towards the middle of its outline."""
+def _stand(
+    T_WM: F64, shown: Bool, view: View, T_WC: F64, depth_m: F32, words: U32Array, rgb: U8
+) -> None:
+    """Soft shadows on the ground under all that stands on it: darker towards the middle."""
     height, width = depth_m.shape
     T, f = view.T_CW, view.focal_px
     for i in range(len(T_WM)):
@@ -193,15 +223,18 @@ def _stand(T_WM: F64, shown: Bool, view: View, T_WC: F64, depth_m: F32, words: U
         reach = 0.5 * long + 0.5 * wide + SHADOW_M
         if not shown[i] or at - reach < view.near_m or at > SHADOWS_M:
             continue
-        u = 0.5 * width + f * (T[0, 0] * M[0, 3] + T[0, 1] * M[1, 3] + T[0, 2] * M[2, 3] + T[0, 3]) / at
-        v = 0.5 * height + f * (T[1, 0] * M[0, 3] + T[1, 1] * M[1, 3] + T[1, 2] * M[2, 3] + T[1, 3]) / at
+        x_C = T[0, 0] * M[0, 3] + T[0, 1] * M[1, 3] + T[0, 2] * M[2, 3] + T[0, 3]
+        u = 0.5 * width + f * x_C / at
+        y_C = T[1, 0] * M[0, 3] + T[1, 1] * M[1, 3] + T[1, 2] * M[2, 3] + T[1, 3]
+        v = 0.5 * height + f * y_C / at
         aside = f * reach / (at - reach)
         for row in range(max(0, int(v - aside)), min(height, int(v + aside) + 1)):
             for column in range(max(0, int(u - aside)), min(width, int(u + aside) + 1)):
                 if words[row, column] & COLOURED:
                     continue
                 z = depth_m[row, column]
-                right, down = z * (column + 0.5 - 0.5 * width) / f, z * (row + 0.5 - 0.5 * height) / f
+                right = z * (column + 0.5 - 0.5 * width) / f
+                down = z * (row + 0.5 - 0.5 * height) / f
                 dz = T_WC[2, 3] + T_WC[2, 0] * right + T_WC[2, 1] * down + T_WC[2, 2] * z - M[2, 3]
                 if abs(dz) > FOOT_M:
                     continue
@@ -211,8 +244,9 @@ def _stand(T_WM: F64, shown: Bool, view: View, T_WC: F64, depth_m: F32, words: U
                 across = (dx * M[0, 1] + dy * M[1, 1]) / (wide * (0.5 * wide + SHADOW_M))
                 q = along * along + across * across
                 if q < 1.0:
+                    light = DARKEST + (1.0 - DARKEST) * q * q
                     for k in range(3):
-                        rgb[row, column, k] = np.uint8(rgb[row, column, k] * (DARKEST + (1.0 - DARKEST) * q * q))
+                        rgb[row, column, k] = np.uint8(rgb[row, column, k] * light)
 
 
 @compile_fast_kernel
@@ -221,13 +255,16 @@ def _sky_ramp(view: View) -> U8:
     ramp = np.empty((SKY_STEPS + 1, 3), np.uint8)
     for i in range(SKY_STEPS + 1):
         for k in range(3):
-            ramp[i, k] = np.uint8(view.light[2 + k] + i * (view.light[5 + k] - view.light[2 + k]) / SKY_STEPS)
+            horizon, zenith = view.light[2 + k], view.light[5 + k]
+            ramp[i, k] = np.uint8(horizon + i * (zenith - horizon) / SKY_STEPS)
     return ramp
 
 
 @compile_fast_kernel
-def _colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U32Array, rgb: U8) -> None:
-    """Write the shaded picture (H, W, 3) from words and depth: faces with their patterns, actors, haze, sky."""
+def _colour(
+    street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U32Array, rgb: U8
+) -> None:
+    """Write the shaded picture (H, W, 3) from words and depth: street, actors, haze, sky."""
     height, width = depth_m.shape
     far, limit = np.float32(view.range_m), np.float32(1.0 / view.range_m)
     left, step = np.float32(0.5 - 0.5 * width), np.float32(1.0 / view.focal_px)
@@ -244,7 +281,9 @@ def _colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U3
             z = depth_m[row, i]
             if z >= far:
                 rise = min(max(int(SKY_GROWTH * (T[2, 0] * u + ray_z)), 0), SKY_STEPS)
-                rgb[row, i, 0], rgb[row, i, 1], rgb[row, i, 2] = ramp[rise, 0], ramp[rise, 1], ramp[rise, 2]
+                rgb[row, i, 0] = ramp[rise, 0]
+                rgb[row, i, 1] = ramp[rise, 1]
+                rgb[row, i, 2] = ramp[rise, 2]
                 continue
             word = words[row, i]
             if not word & COLOURED:
@@ -258,11 +297,14 @@ def _colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U3
                         word = _overlay(street, face, x, y, height_m) or word
                         above = height_m - street.frame[face, 3]
                         if street.pattern[face] == WINDOWS and above < FOOT_OF_WALL_M:
-                            word = _dimmed(word, np.uint32(176.0 + 80.0 * max(above, NO_M) / FOOT_OF_WALL_M))
+                            word = _dimmed(
+                                word, np.uint32(176.0 + 80.0 * max(above, NO_M) / FOOT_OF_WALL_M)
+                            )
             if z > clear_m:
                 share = z * limit - CLEAR
                 haze = np.uint32(HAZE_GROWTH * share * share)
-                even = ((word & EVEN) * (FULL - haze) + fog_even * haze) >> BYTE & EVEN  # red and blue at once
+                # Red and blue at once.
+                even = ((word & EVEN) * (FULL - haze) + fog_even * haze) >> BYTE & EVEN
                 green = ((word >> BYTE & LOW) * (FULL - haze) + fog_green * haze) & HIGH
                 word = even | green
             rgb[row, i, 0] = word & LOW
@@ -271,18 +313,8 @@ def _colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U3
 
 
 @compile_fast_kernel
-def brighten(rgb: U8, table: U8) -> None:
-    """Replace each colour value of a picture (H, W, 3) by that of the table (256,), in place."""
-    height, width, _ = rgb.shape
-    for row in range(height):
-        for i in range(width):
-            for k in range(3):
-                rgb[row, i, k] = table[rgb[row, i, k]]
-
-
-@compile_fast_kernel
 def _write_instances(words: U32Array, class_id: U8, instance: I32) -> None:
-    """Write the row of the instance that each pixel shows, -1 for the street and the sky, from a numbered picture."""
+    """Write each pixel's row of an instance, -1 for street and sky, from a numbered picture."""
     height, width = words.shape
     for row in range(height):
         for i in range(width):

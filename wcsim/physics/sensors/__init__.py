@@ -1,1 +1,1 @@
-"""Sensors of a chair: cameras and IMU, with their noise. A new sensor is a file here."""
+"""Sensors of a chair: cameras, IMU, odometry, with their noise. A new sensor is a file here."""

@@ -1,7 +1,7 @@
-"""What every sensor of a wheelchair is: begun with an episode, told of each physics step, asked once a tick.
+"""What every sensor of a wheelchair does: start an episode, sample physics steps, read each tick.
 
-A sensor is a class here and a line in `registry.py`. One whose reading is a row of numbers has its section and its
-`Measure` in `config/sensors.py`; nothing else has to know it by name.
+A sensor is a class here and a line in `registry.py`. One whose reading is a row of numbers has its
+section and its `Measure` in `config/sensors.py`; nothing else names it.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ class Mount:
 
     seat: int
     engine: Engine
-    com_B_m: Vec3  # the point whose velocity `BodyMotion` tells
-    wheel_radius_m: float  # of the drive wheels as configured, whatever an episode has drawn; the same for the track
+    com_B_m: Vec3  # the point that has the velocity of `BodyMotion`
+    # Of the drive wheels as configured, whatever an episode has drawn.
+    wheel_radius_m: float
     track_m: float
     rig: CameraRig | None = None  # which the cameras of all seats share
 
@@ -58,7 +59,7 @@ class Surroundings:
 
 
 class Sensor:
-    """One kind of sensor on one wheelchair; what it does not need it leaves as it is here."""
+    """One kind of sensor on one wheelchair; a method that it does not need stays as it is here."""
 
     def start(self, noise_key: int | None) -> None:
         """Begin an episode: draw the errors that stay through it, none without a key."""
@@ -81,7 +82,10 @@ class Sensor:
             self.sample(BodyMotion(tuple(row[:9]), tuple(row[9:12]), tuple(row[12:]), wheel_rad))
 
     def end_tick(self, noise_key: int | None) -> Any:
-        """What it felt in the tick, which ends; `noise_key` says which noise, None: none. None when it has to look."""
+        """What it felt in the tick that ends; None for a sensor that has to look.
+
+        `noise_key` (64 bits) selects the noise; without a key there is none.
+        """
 
     def look(self, scene: Surroundings) -> Any:
         """What it sees after the tick; None when it does not look."""

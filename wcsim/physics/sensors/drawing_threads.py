@@ -1,4 +1,4 @@
-"""A few threads that draw pictures side by side: what is compiled lets the others run meanwhile."""
+"""A few threads that draw pictures side by side: compiled code lets the others run meanwhile."""
 
 import os
 from collections import deque
@@ -9,15 +9,15 @@ Work = Callable[[], object]
 
 
 class DrawingThreads:
-    """Does pieces of work that have nothing to do with each other; whoever asks does some of them itself."""
+    """Does independent pieces of work; the calling thread does some of them itself."""
 
     def __init__(self, threads: int) -> None:
-        """`threads` with that of whoever asks, at least 1; none is started before there is work for two."""
+        """Start none before there is work for two; `threads`, at least 1, has the calling one."""
         self._threads = threads
         self._pool: ThreadPoolExecutor | None = None
 
     def run(self, work: Iterable[Work], meanwhile: Work | None = None) -> None:
-        """Do all of it, and `meanwhile` in the thread of whoever asks; back when all is done.
+        """Do all of it, and `meanwhile` in the calling thread; returns when all is done.
 
         Raises what a piece raised, once no other piece is at work.
         """
@@ -36,11 +36,11 @@ class DrawingThreads:
                 meanwhile()
             _work_off(waiting)
         finally:
-            # After an error nothing more is begun, but what has begun still writes into buffers: it is waited for.
+            # After an error nothing more starts. What has started still writes into buffers: wait.
             waiting.clear()
-            begun = [helper for helper in helping if not helper.cancel()]
-            wait(begun)
-        for helper in begun:
+            started = [helper for helper in helping if not helper.cancel()]
+            wait(started)
+        for helper in started:
             helper.result()
 
     def close(self) -> None:
@@ -52,7 +52,7 @@ class DrawingThreads:
 
 def cores() -> int:
     """How many cores this process may use."""
-    # Of this process: a container or `taskset` may allow fewer cores than there are.
+    # A container or `taskset` may allow fewer cores than there are.
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -1,8 +1,9 @@
-"""Errors about whole things, which last: someone missed or taken for another, someone false, borders and stereo astray.
+"""Errors about whole things, which last: actors missed, taken for others or false, borders, stereo.
 
-Nothing is kept between pictures. What errs has a key of its own, and each tick (or slot of time) under it a word: a
-walk back to the word that decides gives the same state in any order of pictures, for any number of threads, and in a
-replay. The rates of each level and their sources stand in `object_noise.toml`.
+No state is held between pictures. Each thing that errs has its own key, and under it a word for
+each tick (or slot of time). A walk back to the word that decides gives the same state in any order
+of pictures, for any number of threads, and in a replay. The rates of each level and their sources
+are in `object_noise.toml`.
 """
 
 from functools import cache
@@ -17,7 +18,14 @@ from wcsim.physics.buffers import Images
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.instances import Instances
 from wcsim.physics.renderer.kernels import U32Array
-from wcsim.physics.sensors.pixel_noise import LOW32, S32, child, normal_quantiles, random_normal, random_word
+from wcsim.physics.sensors.pixel_noise import (
+    LOW32,
+    S32,
+    child,
+    normal_quantiles,
+    random_normal,
+    random_word,
+)
 from wcsim.types import F32, F64, I32, U8, Bool, ClassId
 
 CLASSES, NAMES, MISSED = 40, 4, 255
@@ -25,10 +33,11 @@ VOID_ID, PERSON_ID = int(ClassId.VOID), int(ClassId.PERSON)
 WORDS = 4294967296.0  # of 32 bits
 LONGEST = 4096  # ticks to walk back: by then nearly everything has been drawn again
 STATED_PX, STATED_WIDTH_PX = 320 * 240, 320
-AHEAD_M = 0.5  # who is nearer by so much hides; the ground before somebody's feet does not
+AHEAD_M = 0.5  # what is nearer by so much hides; the ground before a person's feet does not
 SQUARE_M = 4.0  # one false person at a time stands in one
 FALSE_HALF_M, FALSE_TALL_M = 0.25, 1.7
-OFF = 1.0 / 3.0  # of a cell: borders of cells lie off round coordinates, where ground, kerbs and walls like to be
+# Of a cell: borders of cells lie off round coordinates, where ground, kerbs and walls often are.
+OFF = 1.0 / 3.0
 _STANDING = (ClassId.POLE, ClassId.KERB, ClassId.LOWERED_KERB)
 _FLAT = (
     ClassId.GROUND,
@@ -45,7 +54,8 @@ _FLAT = (
 class _Law(NamedTuple):
     """A level's rates for one camera, as the kernels take them; see `object_noise.toml`."""
 
-    wrong: F64  # (CLASSES,) share of the time that a whole and near thing is not named right; 0: always right
+    # (CLASSES,) share of the time that a whole and near thing has a wrong name; 0: never
+    wrong: F64
     upto: F64  # (CLASSES, NAMES) shares of that time by name, added up
     names: U8  # (CLASSES, NAMES) those names, MISSED for none
     stands: Bool  # (CLASSES,) what errs by its place in the world; the others err by actor
@@ -79,58 +89,80 @@ class ObjectNoise:
 
     def __init__(self, level: str, camera: Pinhole, tick_s: float) -> None:
         """`level` is one of `good`, `usual` and `poor`; a tick lasts `tick_s`."""
-        self._law = _law_of(object_rates()["law"] | object_rates()[level], camera, tick_s)
+        rates = object_rates()["law"] | object_rates()[level]
+
+        # 1. The names that are wrong, by class.
+        wrong = np.zeros(CLASSES)
+        upto = np.ones((CLASSES, NAMES))
+        names = np.zeros((CLASSES, NAMES), np.uint8)
+        for name, row in rates["wrong"].items():
+            c, shares = ClassId[name], np.array(list(row.values()))
+            wrong[c] = shares.sum()
+            # The last one reaches to the end.
+            upto[c, : len(shares) - 1] = (np.cumsum(shares) / shares.sum())[:-1]
+            names[c, : len(row)] = [MISSED if each == "missed" else ClassId[each] for each in row]
+
+        # 2. The rates, for this camera.
+        least_s, most_s = rates["false_least_s"], rates["false_most_s"]
+        people = rates["false_100_m2"] / 100.0 * SQUARE_M**2
+        scale = camera.width_px / STATED_WIDTH_PX
+        known = rates | {
+            "wrong": wrong,
+            "upto": upto,
+            "names": names,
+            "stands": np.isin(np.arange(CLASSES), _STANDING),
+            "flat": np.isin(np.arange(CLASSES), _FLAT),
+            "leaves": min(1.0, tick_s / rates["wrong_s"]),
+            "tick_s": tick_s,
+            "focal_px": camera.focal_px,
+            "range_m": camera.range_m,
+            "whole_m": camera.focal_px / scale / rates["whole_px_m"],
+            "false_chance": people * 2.0 * most_s / (least_s + most_s),
+            "border_px": rates["border_px"] * scale,
+            "border_grid_px": max(1, round(rates["border_grid_px"] * scale)),
+            "block_px": max(1, round(4 * scale)),
+        }
+        self._law = _Law(**{name: known[name] for name in _Law._fields})
 
     def lay_over(
-        self, images: Images, instance: I32, T_CW: F64, rows: Instances, tick: int, ground_m: float, key: int
+        self,
+        images: Images,
+        instance: I32,
+        T_CW: F64,
+        rows: Instances,
+        tick: int,
+        ground_m: float,
+        key: int,
     ) -> None:
-        """Err about a true picture, in place: first its classes, then its depth; colours stay as they are.
+        """Err about a true picture, in place: first its classes, then its depth; colours stay.
 
         Args:
             images: the picture.
-            instance: (H, W) the row of the instance that each of its pixels shows, -1 for none.
+            instance: (H, W) the row of the instance that each pixel shows, -1 for none.
             T_CW: (3, 4) world to camera frame.
             rows: those instances.
             tick: of the picture.
-            ground_m: height of the ground in W on which someone false stands.
+            ground_m: height in W of the ground on which a false person stands.
             key: 64 bits, the same for all pictures of a camera.
         """
-        keys = np.array([child(key, part) for part in range(5)], np.uint64)
-        seeds, table = rows.colour_seed, normal_quantiles()
-        _err(images.class_id, images.depth_m, instance, T_CW, seeds, tick, ground_m, keys, self._law, table)
+        _err(
+            images.class_id,
+            images.depth_m,
+            instance,
+            T_CW,
+            rows.colour_seed,
+            tick,
+            ground_m,
+            np.array([child(key, part) for part in range(5)], np.uint64),
+            self._law,
+            normal_quantiles(),
+        )
 
 
 @cache
 def object_rates() -> dict[str, Any]:
     """`object_noise.toml`: what all levels share as `law`, and each level by its name."""
     return read_module_toml(__file__)
-
-
-def _law_of(rates: dict[str, Any], camera: Pinhole, tick_s: float) -> _Law:
-    wrong, upto, names = np.zeros(CLASSES), np.ones((CLASSES, NAMES)), np.zeros((CLASSES, NAMES), np.uint8)
-    for name, row in rates["wrong"].items():
-        c, shares = ClassId[name], np.array(list(row.values()))
-        wrong[c] = shares.sum()
-        upto[c, : len(shares) - 1] = (np.cumsum(shares) / shares.sum())[:-1]  # the last one reaches to the end
-        names[c, : len(shares)] = [MISSED if each == "missed" else ClassId[each] for each in row]
-    least_s, most_s, scale = rates["false_least_s"], rates["false_most_s"], camera.width_px / STATED_WIDTH_PX
-    known = rates | {
-        "wrong": wrong,
-        "upto": upto,
-        "names": names,
-        "stands": np.isin(np.arange(CLASSES), _STANDING),
-        "flat": np.isin(np.arange(CLASSES), _FLAT),
-        "leaves": min(1.0, tick_s / rates["wrong_s"]),
-        "tick_s": tick_s,
-        "focal_px": camera.focal_px,
-        "range_m": camera.range_m,
-        "whole_m": camera.focal_px / scale / rates["whole_px_m"],
-        "false_chance": rates["false_100_m2"] / 100.0 * SQUARE_M**2 * 2.0 * most_s / (least_s + most_s),
-        "border_px": rates["border_px"] * scale,
-        "border_grid_px": max(1, round(rates["border_grid_px"] * scale)),
-        "block_px": max(1, round(4 * scale)),
-    }
-    return _Law(**{name: known[name] for name in _Law._fields})
 
 
 @compile_fast_kernel
@@ -149,12 +181,13 @@ def _cell_key(key: np.uint64, x: float, y: float, z: float) -> np.uint64:
 
 @compile_fast_kernel
 def _name_of(key: np.uint64, tick: int, c: int, factor: float, law: _Law) -> int:
-    """What a thing of class c is called in this tick; `factor` multiplies the odds that it is called wrong.
+    """The name of a thing of class c in this tick; `factor` multiplies the odds of a wrong one.
 
-    In each tick a word is drawn anew with a chance r, else it stays; a walk back leads to the last one drawn. It names
-    wrong if it lies below the share s that the odds give: right and wrong are the two states of a Markov chain, and an
-    error lasts 1 / (r (1 - s)) ticks in the mean. r makes that `wrong_s` at factor 1, and does not depend on the
-    factor: one that changes ends an error only where s passes the word. Small and hidden things err for longer.
+    In each tick a word is drawn anew with a chance r, else it stays; a walk back leads to the last
+    one drawn. It names wrong if it lies below the share s that the odds give. So right and wrong
+    are the two states of a Markov chain, and an error lasts 1 / (r (1 - s)) ticks in the mean. r
+    makes that `wrong_s` at factor 1. It does not depend on the factor: one that changes ends an
+    error only where s passes the word. Small and hidden things err for longer.
     """
     odds = factor * law.wrong[c] / (1.0 - law.wrong[c])
     share = odds / (1.0 + odds)
@@ -164,7 +197,8 @@ def _name_of(key: np.uint64, tick: int, c: int, factor: float, law: _Law) -> int
         bits = random_word(key, tick - back)
         if bits >> S32 < named_below:
             break
-    # The lower half of a word says the name: it knows nothing of the upper half, which says whether it names.
+    # The lower half of a word gives the name. The upper half, which says whether the word was drawn
+    # in this tick, has nothing to do with it.
     drawn = np.float64(bits & LOW32) / WORDS
     if drawn >= share:
         return c
@@ -175,8 +209,10 @@ def _name_of(key: np.uint64, tick: int, c: int, factor: float, law: _Law) -> int
 
 
 @compile_fast_kernel
-def _names(instance: I32, depth_m: F32, seeds: U32Array, key: np.uint64, tick: int, law: _Law) -> U8:
-    """What each actor's pixels of each class are called, (n, CLASSES); only of those that are in the picture (H, W)."""
+def _names(
+    instance: I32, depth_m: F32, seeds: U32Array, key: np.uint64, tick: int, law: _Law
+) -> U8:
+    """Names (n, CLASSES) of each actor's pixels, by class; only of those in the picture (H, W)."""
     height, width = instance.shape
     counts, outline, covered = np.zeros((3, len(seeds)))
     for row in range(height):
@@ -212,7 +248,10 @@ def _err(
     law: _Law,
     table: F32,
 ) -> None:
-    """Lay all errors over a picture; keys (5,) of actors, of what stands, of what is false, of borders, of stereo."""
+    """Lay all errors over a picture.
+
+    The keys (5,) are those of actors, of what stands, of what is false, of borders, of stereo.
+    """
     now_s = tick * law.tick_s
     names = _names(instance, depth_m, seeds, keys[0], tick, law)
     _rename(class_id, depth_m, instance, names, T_CW, keys[1], tick, law)
@@ -235,12 +274,20 @@ def _in_world(T_CW: F64, u: float, v: float, z: float) -> tuple[float, float, fl
 
 @compile_fast_kernel
 def _rename(
-    class_id: U8, depth_m: F32, instance: I32, names: U8, T_CW: F64, key: np.uint64, tick: int, law: _Law
+    class_id: U8,
+    depth_m: F32,
+    instance: I32,
+    names: U8,
+    T_CW: F64,
+    key: np.uint64,
+    tick: int,
+    law: _Law,
 ) -> None:
-    """Call pixels what their actors are called, or what a piece of a kerb, or a pole, is called."""
+    """Give pixels the names of their actors, or of their piece of a kerb, or of their pole."""
     height, width = class_id.shape
     for row in range(height):
-        v, missed, old, old_name = (row + 0.5 - 0.5 * height) / law.focal_px, False, np.uint64(0), 0
+        v = (row + 0.5 - 0.5 * height) / law.focal_px
+        missed, old, old_name = False, np.uint64(0), 0
         for i in range(width):
             c = int(class_id[row, i])
             if law.wrong[c] == 0.0:
@@ -251,7 +298,8 @@ def _rename(
                 x_m, y_m, _ = _in_world(T_CW, (i + 0.5 - 0.5 * width) / law.focal_px, v, z)
                 piece = _cell_key(key, x_m / law.piece_m, y_m / law.piece_m, float(c))
                 if piece != old:
-                    old, old_name = piece, _name_of(piece, tick, c, max(1.0, (z / law.whole_m) ** 2), law)
+                    factor = max(1.0, (z / law.whole_m) ** 2)
+                    old, old_name = piece, _name_of(piece, tick, c, factor, law)
                 name = old_name
             elif instance[row, i] >= 0:
                 name = int(names[instance[row, i], c])
@@ -263,7 +311,7 @@ def _rename(
 
 @compile_fast_kernel
 def _see_through(class_id: U8, depth_m: F32) -> None:
-    """Call what is missed in a row (W,) what stands beside it, on the side that is farther away; nothing: no class."""
+    """Give what is missed in a row (W,) the class of its farther neighbour; none without one."""
     width, start = len(class_id), 0
     while start < width:
         if class_id[start] != MISSED:
@@ -282,8 +330,16 @@ def _see_through(class_id: U8, depth_m: F32) -> None:
 
 
 @compile_fast_kernel
-def _add_false(class_id: U8, depth_m: F32, T_CW: F64, ground_m: float, key: np.uint64, now_s: float, law: _Law) -> None:
-    """Name pixels of people who are not there; the world is cut into squares, and time into slots."""
+def _add_false(
+    class_id: U8,
+    depth_m: F32,
+    T_CW: F64,
+    ground_m: float,
+    key: np.uint64,
+    now_s: float,
+    law: _Law,
+) -> None:
+    """Name pixels of people that are not there; space is cut into squares, time into slots."""
     reach = int(np.ceil(law.false_far_m / SQUARE_M))
     east_m, north_m, _ = _in_world(T_CW, 0.0, 0.0, 0.0)
     east, north = int(np.floor(east_m / SQUARE_M)), int(np.floor(north_m / SQUARE_M))
@@ -295,16 +351,19 @@ def _add_false(class_id: U8, depth_m: F32, T_CW: F64, ground_m: float, key: np.u
             own = random_word(square, int(np.floor(slots)))
             lasts_s = law.false_least_s + (law.false_most_s - law.false_least_s) * _share(own, 0)
             # Somewhere within the slot, so that no other slot has to be known.
-            age_s = law.false_most_s * (slots - np.floor(slots)) - (law.false_most_s - lasts_s) * _share(own, 1)
+            since_s = law.false_most_s * (slots - np.floor(slots))
+            age_s = since_s - (law.false_most_s - lasts_s) * _share(own, 1)
             if np.float64(own >> S32) < law.false_chance * WORDS and 0.0 <= age_s < lasts_s:
                 p_C_m = T_CW[:, 3] + T_CW[:, 2] * (ground_m + 0.5 * FALSE_TALL_M)
-                p_C_m += SQUARE_M * (T_CW[:, 0] * (x + _share(own, 2)) + T_CW[:, 1] * (y + _share(own, 3)))
+                p_C_m += SQUARE_M * (
+                    T_CW[:, 0] * (x + _share(own, 2)) + T_CW[:, 1] * (y + _share(own, 3))
+                )
                 _draw_false(class_id, depth_m, p_C_m, law)
 
 
 @compile_fast_kernel
 def _draw_false(class_id: U8, depth_m: F32, p_C_m: F64, law: _Law) -> None:
-    """Name the pixels of an ellipse with its middle at a point (3,) of the camera frame, where nothing is nearer."""
+    """Name the pixels of an ellipse round a point (3,) of the camera frame that nothing hides."""
     height, width = class_id.shape
     x, y, z = p_C_m
     if z <= 0.0 or not law.false_near_m < np.hypot(x, z) < law.false_far_m:
@@ -320,14 +379,15 @@ def _draw_false(class_id: U8, depth_m: F32, p_C_m: F64, law: _Law) -> None:
 
 @compile_fast_kernel
 def _wander(class_id: U8, key: np.uint64, now: float, law: _Law, table: F32) -> None:
-    """Shift borders on the ground by an offset that changes slowly over picture and time; `now` in units of `border_s`.
+    """Shift borders on the ground by an offset that changes slowly over picture and time.
 
-    The outline of what stands on it stays: a shift of whole pixels would swallow people who are far away.
+    `now` is in units of `border_s`. The outline of what stands on the ground stays: a shift of
+    whole pixels would swallow people that are far away.
     """
     height, width = class_id.shape
     source, flat, block, grid = class_id.copy(), law.flat, law.block_px, law.border_grid_px
     then = int(np.floor(now))
-    # A quarter of a circle from one knot to the next: the offset has the same variance at each time.
+    # A quarter of a circle from one knot to the next: the variance is the same at each time.
     turn = 0.5 * np.pi * (now - then)
     before, after = law.border_px * np.cos(turn), law.border_px * np.sin(turn)
     knots = np.empty((height // grid + 2, width // grid + 2, 2))
@@ -335,7 +395,8 @@ def _wander(class_id: U8, key: np.uint64, now: float, law: _Law, table: F32) -> 
     for at in range(knots.size):
         was, becomes = random_word(old, at) >> S32, random_word(new, at) >> S32
         knots.flat[at] = before * random_normal(was, table) + after * random_normal(becomes, table)
-    a = np.arange(0, width, block) % grid / grid  # here, and once: a root for each block would cost a third of it all
+    # Here, and once: a root for each block would cost a third of it all.
+    a = np.arange(0, width, block) % grid / grid
     here, there = (1.0 - a) / np.hypot(1.0 - a, a), a / np.hypot(1.0 - a, a)
     for top in range(0, height, block):
         row, b = top // grid, (top % grid) / grid
@@ -359,7 +420,7 @@ def _wander(class_id: U8, key: np.uint64, now: float, law: _Law, table: F32) -> 
 
 @compile_fast_kernel
 def _fail_stereo(depth_m: F32, T_CW: F64, key: np.uint64, now: float, law: _Law) -> None:
-    """Lose or invent the surfaces in some cubes of the world, each for `patch_s`; `now` in units of it."""
+    """Lose or invent surfaces in some cubes of the world, each for `patch_s`, the unit of `now`."""
     height, width = depth_m.shape
     block = law.block_px
     below = np.uint64(law.stereo_share * WORDS)

@@ -1,8 +1,8 @@
 """Wheel odometry: how fast the encoders of the drive wheels say that the chair goes and turns.
 
-With the wheels' turning w_l and w_r over a tick, their radii r_l and r_r and the track: v = (r_l w_l + r_r w_r) / 2 and
-w = (r_r w_r - r_l w_l) / track, counter-clockwise. Radius and track are those of the plant as configured, so a wheel
-that slips, or is worn, is not noticed: that is what odometry gets wrong.
+With the wheels' turning w_l and w_r over a tick, their radii r_l and r_r and the track,
+v = (r_l w_l + r_r w_r) / 2 and w = (r_r w_r - r_l w_l) / track, counter-clockwise. Radius and track
+are those of the plant as configured. So odometry does not notice a wheel that slips, or is worn.
 """
 
 import math
@@ -27,9 +27,13 @@ class Odometry(Sensor):
         dt_s: Physics step.
     """
 
-    def __init__(self, config: OdometryConfig, wheel_radius_m: float, track_m: float, dt_s: float) -> None:
+    def __init__(
+        self, config: OdometryConfig, wheel_radius_m: float, track_m: float, dt_s: float
+    ) -> None:
         self._config = config
-        self._nominal_m, self._track_m, self._dt_s = wheel_radius_m, track_m, dt_s
+        self._nominal_m = wheel_radius_m
+        self._track_m = track_m
+        self._dt_s = dt_s
         self._per_rad = config.ticks_per_turn / (2.0 * math.pi)
         self._density = np.array([config.speed_density_mps, deg2rad(config.turn_density_deg)])
         self.start(None)
@@ -52,17 +56,19 @@ class Odometry(Sensor):
         self._late = deque([np.zeros(2)] * self._config.delay_ticks)
 
     def sample(self, motion: BodyMotion) -> None:
-        """Keep how far the wheels have turned."""
+        """Store how far the wheels have turned."""
         self._wheel_rad = motion.wheel_rad
         self._steps += 1
 
     def end_tick(self, noise_key: int | None) -> F64:
-        """(2,) forward speed in m/s and turn rate in rad/s of the tick, or of the one `delay_ticks` ago."""
+        """(2,) forward speed (m/s) and turn rate (rad/s) of the tick, or `delay_ticks` before."""
         before, self._counts = self._counts, self._counted()
-        tick_s, self._steps = self._steps * self._dt_s, 0
+        tick_s = self._steps * self._dt_s
+        self._steps = 0
         now = np.zeros(2)
         if tick_s > 0.0:
-            left_mps, right_mps = (self._radii_m * (self._counts - before) / (self._per_rad * tick_s)).tolist()
+            wheels_mps = self._radii_m * (self._counts - before) / (self._per_rad * tick_s)
+            left_mps, right_mps = wheels_mps.tolist()
             now = np.array([0.5 * (left_mps + right_mps), (right_mps - left_mps) / self._track_m])
             if noise_key is not None:
                 # A density: the longer the tick, the more of the noise is averaged away.

@@ -1,9 +1,10 @@
-"""Chance without a state: numbers that depend on a 64-bit key and a place alone, and the kernels that disturb pictures.
+"""Random numbers without a state, by 64-bit key and place, and kernels that disturb pictures.
 
-A picture's key comes from the seed tree by seat and camera, and from the tick; each pixel then has its own word of
-random bits. So noise is the same in whatever order pictures are taken, and whoever else takes some. The words are those
-of the generator splitmix64; a word becomes normal by a table of quantiles, which is many times faster than logarithm
-and sine. All that a kernel calls is in this file, see `physics/renderer/kernels.py`.
+A picture's key comes from the seed tree by seat and camera, and from the tick; each pixel then has
+its own word of random bits. So noise does not depend on the order of pictures, nor on other
+cameras. The words are those of the generator splitmix64. A word becomes normal by a table of
+quantiles, which is many times faster than logarithm and sine. All that a kernel calls is in this
+file, see `physics/renderer/kernels.py`.
 """
 
 from functools import lru_cache
@@ -29,11 +30,12 @@ VOID_ID = np.uint8(0)
 
 
 class DepthNoise(NamedTuple):
-    """What has to be known of a stereo camera to measure as it does; lengths in metres, disparities in pixels."""
+    """A stereo camera's numbers for the kernel; lengths in metres, disparities in pixels."""
 
     focal_px: float  # of the picture
-    shift_px_m: float  # focal length times baseline of the picture: what a surface at 1 m shifts by between the imagers
-    match_px_m: float  # the same in the images that are matched
+    # Focal length times baseline: the shift of a surface at 1 m between the imagers.
+    shift_px_m: float  # in the picture
+    match_px_m: float  # in the images that are matched
     sigma_px: float
     step_px: float  # 0: not rounded
     range_m: float
@@ -45,12 +47,12 @@ class DepthNoise(NamedTuple):
     patch_px: int
 
     def lay_over(self, depth_m: F32, key: int) -> None:
-        """Measure a true depth picture (H, W), see `_disturb_depth`; `key` (64 bits) says which noise."""
+        """Measure a true depth picture (H, W), see `_disturb_depth`; `key` has 64 bits."""
         _disturb_depth(depth_m, np.uint64(key), self, normal_quantiles())
 
 
 class ClassNoise(NamedTuple):
-    """What has to be known of a network that names pixels."""
+    """The numbers of a network that names pixels."""
 
     border_px: int
     border_share: float
@@ -59,17 +61,17 @@ class ClassNoise(NamedTuple):
     patch_px: int
 
     def lay_over(self, class_id: U8, key: int) -> None:
-        """Name the pixels of a true picture (H, W), see `_disturb_classes`; `key` (64 bits) says which noise."""
+        """Name the pixels of a true picture (H, W), see `_disturb_classes`; `key` has 64 bits."""
         _disturb_classes(class_id, np.uint64(key), self)
 
 
 class ColourNoise(NamedTuple):
-    """What has to be known of an imager: the standard deviation of a colour, in steps of 255."""
+    """The number of an imager: the standard deviation of a colour, in steps of 255."""
 
     sigma: float
 
     def lay_over(self, rgb: U8, key: int) -> None:
-        """Disturb the colours of a picture (H, W, 3), see `_disturb_colours`; `key` (64 bits) says which noise."""
+        """Disturb colours (H, W, 3), see `_disturb_colours`; `key` has 64 bits."""
         _disturb_colours(rgb, np.uint64(key), self.sigma, normal_quantiles())
 
 
@@ -132,11 +134,12 @@ def _least(a: np.float32, b: np.float32) -> np.float32:
 
 @compile_fast_kernel
 def _disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) -> None:
-    """Measure a true depth picture (H, W) as a stereo camera does, in place; 0 is where nothing was measured.
+    """Measure a true depth picture (H, W) as a stereo camera does, in place; 0 is no measurement.
 
-    The picture is that of the left imager. A pixel is lost in the shadow of something nearer on its right, which hides
-    it from the right imager; where the right imager's picture ends; in a patch, more often where the surface is seen
-    flat; and when it is nearer than `z_min_m`. What is left gets an error in its disparity.
+    The picture is that of the left imager. A pixel is lost in the shadow of something nearer on its
+    right, which hides it from the right imager, and where the right imager's picture ends. It is
+    lost in a patch, more often where the surface is seen flat, and when it is nearer than
+    `z_min_m`. The others get an error in their disparity.
     """
     height, width = depth_m.shape
     shift, match = np.float32(noise.shift_px_m), np.float32(noise.match_px_m)
@@ -156,15 +159,16 @@ def _disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) 
     for row in range(height):
         if row % noise.patch_px == 0:
             for k in range(len(lost)):
-                # One word serves a patch in all its rows: a stereo matcher loses patches, not single pixels.
+                # A word for all rows of a patch: a matcher loses patches, not single pixels.
                 lost[k] = random_word(patch_key, row * width + k)
         v = (np.float32(row) + HALF - HALF * np.float32(height)) * per_focal
         above, below = max(row - 1, 0), min(row + 1, height - 1)
         leftmost = np.float32(2.0 * width)
-        # From the right: what hides a pixel from the right imager stands to its right in this picture.
+        # From the right, as what hides a pixel from the right imager is to its right here.
         for i in range(width - 1, -1, -1):
             z, q = depth_m[row, i], inverse[row, i]
-            if z == 0.0:  # lost before: it hides nothing
+            # Lost before: it hides nothing.
+            if z == 0.0:
                 continue
             at = np.float32(i) - shift * q
             hidden = noise.shadow and (at > leftmost - HALF or at < -HALF)
@@ -177,8 +181,10 @@ def _disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) 
                 continue
             if flat > 0.0 and bits & LOW32 < flat_below:
                 u = (np.float32(i) + HALF - HALF * np.float32(width)) * per_focal
-                # The smaller slope of both sides: beyond an edge the neighbour belongs to another surface.
-                a = focal * _least(inverse[row, min(i + 1, width - 1)] - q, q - inverse[row, max(i - 1, 0)])
+                # The smaller slope of both sides: beyond an edge there is another surface.
+                a = focal * _least(
+                    inverse[row, min(i + 1, width - 1)] - q, q - inverse[row, max(i - 1, 0)]
+                )
                 b = focal * _least(inverse[below, i] - q, q - inverse[above, i])
                 c = q - u * a - v * b
                 if q * q < flat * (a * a + b * b + c * c) * (u * u + v * v + np.float32(1.0)):
@@ -195,10 +201,10 @@ def _disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) 
 
 @compile_fast_kernel
 def _disturb_classes(class_id: U8, key: np.uint64, noise: ClassNoise) -> None:
-    """Name pixels (H, W) as a network does, in place: borders are frayed, and patches have no class.
+    """Name pixels (H, W) as a network does, in place: borders fray, and patches have no class.
 
-    A square of `grain_px` takes, with probability `border_share`, the classes at most `border_px` away, which changes
-    nothing but at borders.
+    A square of `grain_px` takes, with probability `border_share`, the classes at most `border_px`
+    away. That shows at borders alone.
     """
     height, width = class_id.shape
     source = class_id.copy()
@@ -222,7 +228,9 @@ def _disturb_classes(class_id: U8, key: np.uint64, noise: ClassNoise) -> None:
                 right[k] = frayed * (np.int64((bits >> S16 & LOW16) * span >> S16) - reach)
         for i in range(width):
             k = grain_of[i]
-            seen = source[min(max(row + down[k], 0), height - 1), min(max(i + right[k], 0), width - 1)]
+            seen = source[
+                min(max(row + down[k], 0), height - 1), min(max(i + right[k], 0), width - 1)
+            ]
             class_id[row, i] = VOID_ID if lost[patch_of[i]] else seen
 
 
@@ -236,6 +244,10 @@ def _disturb_colours(rgb: U8, key: np.uint64, sigma: float, table: F32) -> None:
             # One word of 64 bits has 21 for each of the three colours.
             bits = random_word(key, row * width + i)
             for k in range(3):
-                value = np.float32(rgb[row, i, k]) + scale * random_normal((bits & LOW21) << S11, table)
-                rgb[row, i, k] = np.uint8(min(max(value, np.float32(0.0)), np.float32(255.0)) + HALF)
+                value = np.float32(rgb[row, i, k]) + scale * random_normal(
+                    (bits & LOW21) << S11, table
+                )
+                rgb[row, i, k] = np.uint8(
+                    min(max(value, np.float32(0.0)), np.float32(255.0)) + HALF
+                )
                 bits >>= np.uint64(21)

@@ -1,1 +1,1 @@
-"""The wheelchair: plant, drive controller, wheels, contacts, where its cameras sit. Not the street under it."""
+"""The wheelchair: plant, drive controller, wheels, contacts, camera places; no street under it."""

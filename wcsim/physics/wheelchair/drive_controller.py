@@ -1,8 +1,9 @@
-"""From a joystick position to wheel motors: mapping, limits of acceleration and jerk, two PI controllers, motor curve.
+"""From a joystick position to wheel motors: mapping, limits, two PI controllers, motor curve.
 
-Linear velocity is held by two PI controllers, throttle and brake, as in the paper; angular velocity is set directly
-within its limits. What they give are target speeds for the two motors, whose torque ends where that of a DC motor does.
-All of it is compiled, and works on an array of memory (`new_state`) and one of settings (`settings`).
+Acceleration and jerk are limited. Linear velocity is held by two PI controllers, throttle and
+brake, as in the paper; angular velocity is set directly within its limits. They give target speeds
+for the two motors, whose torque ends where that of a DC motor does. All of it is compiled, and
+works on an array of memory (`new_state`) and one of settings (`settings`).
 """
 
 import math
@@ -29,17 +30,18 @@ from wcsim.types import F64
 PI_KP_PER_S: Final = 3.0
 PI_KI_PER_S2: Final = 1.0
 SLIP_MPS: Final = 0.1  # more than this between wheels and ground is a wheel without grip
-SPEED_BAND_MPS: Final = 0.25  # how far the controllers may lead the speed that is wanted
-STEER_S: Final = 10.0  # share of its torque that a wheel loses for each rad/s by which it outruns the turn asked for
+SPEED_BAND_MPS: Final = 0.25  # how far the controllers may lead the reference speed
+# The share of its torque that a wheel loses for each rad/s by which it outruns the desired turn.
+STEER_S: Final = 10.0
 _STILL_RADPS: Final = 1e-3
 
-# memory of the controllers
+# Memory of the controllers
 V_REF_MPS, A_REF_MPS2, W_REF_RADPS, V_MOTOR_MPS = 0, 1, 2, 3
 THROTTLE_MPS2, BRAKE_MPS2 = 4, 5  # integral parts of the two PI controllers
 IDLE_S, STICK_X, STICK_Y = 6, 7, 8
 _STATE_SIZE: Final = 9
 
-# settings; the first are the limits of `wcsim.core.joystick`
+# Settings; the first are the limits of `wcsim.core.joystick`.
 _DT_S, _DEADBAND, _EXPONENT, _SMOOTHING, _BRAKE_AFTER = range(8, 13)
 _HALF_TRACK, _RADIUS = 13, 14
 _STALL, _NO_LOAD, _LEAST_SHARE, _BRAKE_TORQUE = 15, 16, 17, 18
@@ -51,7 +53,7 @@ def new_state() -> F64:
 
 
 def settings(chair: ChairConfig, spec: PlantSpec, dt_s: float) -> F64:
-    """Everything that `step` must know of a chair, for control steps of `dt_s`."""
+    """All numbers of a chair for `step`, for control steps of `dt_s`."""
     damping_s = chair.tremor_damping_s
     return np.array(
         [
@@ -72,32 +74,33 @@ def settings(chair: ChairConfig, spec: PlantSpec, dt_s: float) -> F64:
 
 
 def stopping_distance_m(v_mps: float, decel_mps2: float, jerk_mps3: float) -> float:
-    """Way to a stop from a steady speed with limited jerk: v^2 / 2a + v a / 2j, when there is time to reach a.
+    """Way to a stop from a steady speed with limited jerk: v^2 / 2a + v a / 2j if a is reached.
 
     >>> round(stopping_distance_m(1.67, 1.5, 4.0), 3)
     1.243
     """
-    # From a low speed the chair stands before its jerk has built up the whole deceleration.
+    # From a low speed the chair stands before its jerk has reached the whole deceleration.
     full = min(decel_mps2, math.sqrt(jerk_mps3 * abs(v_mps)))
     return 0.5 * v_mps * v_mps / full + 0.5 * abs(v_mps) * full / jerk_mps3
 
 
 def speed_mps(axle_mps: float, wheels_mps: float) -> float:
-    """The speed that the controllers take for the chair's: that of its axle, but near that of its wheels.
+    """The chair's speed for the controllers: that of its axle, but near that of its wheels.
 
-    A chair that turns on the spot creeps a little without its wheels' knowing, which the axle's speed corrects. Where
-    one wheel has no grip, as across a ramp, the axle swings round the other one, and holding its speed would brake the
-    only wheel that can steer.
+    A chair that turns on the spot creeps a little, which only the axle's speed shows. Where one
+    wheel has no grip, as across a ramp, the axle swings round the other one. Holding its speed
+    would brake the only wheel that can steer.
     """
     return wheels_mps + min(max(axle_mps - wheels_mps, -SLIP_MPS), SLIP_MPS)
 
 
 @compile_exact_kernel
 def _target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, float]:
-    """The speeds that a joystick position asks for: forward in m/s, turn to the left in rad/s.
+    """The desired speeds of a joystick position: forward in m/s, turn to the left in rad/s.
 
-    The position is pulled to the unit disc first. The faster of reference speed and speed asked for limits the turn;
-    the measured speed would not do, because the axle of a chair that turns in place trembles.
+    The position is pulled to the unit disc first. The faster of reference speed and desired speed
+    limits the turn. The measured speed would not do, as the axle of a chair that turns in place
+    trembles.
 
     Args:
         x: Joystick to the right.
@@ -111,24 +114,27 @@ def _target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, 
 
 @compile_exact_kernel
 def _motor_torque_Nm(wheel_radps: float, setting: F64) -> float:
-    """What a motor gives at most at a wheel speed: falling from the stall torque to the no-load speed."""
-    return float(setting[_STALL] * max(setting[_LEAST_SHARE], 1.0 - abs(wheel_radps) / setting[_NO_LOAD]))
+    """The most that a motor gives at a wheel speed, from the stall torque to the no-load speed."""
+    return float(
+        setting[_STALL] * max(setting[_LEAST_SHARE], 1.0 - abs(wheel_radps) / setting[_NO_LOAD])
+    )
 
 
 @compile_exact_kernel
 def _control(state: F64, v_mps: float, setting: F64) -> None:
-    """Throttle or brake: the motors' speed moves on by the acceleration that the controller in charge gives.
+    """Throttle or brake: move the motors' speed on by the acceleration that one of both gives.
 
-    A PI controller with a feed-forward part; its integral rests while the output is at a bound.
+    Each is a PI controller with a feed-forward part; its integral rests while the output is at a
+    bound.
     """
     dt_s, v_ref = setting[_DT_S], state[V_REF_MPS]
-    # At a reference of exactly 0 the acceleration says which way the chair is about to go.
+    # At a reference of exactly 0 the acceleration has the direction in which the chair will go.
     forward = 1.0 if v_ref + 1e-9 * state[A_REF_MPS2] >= 0.0 else -1.0
     error = forward * (v_ref - v_mps)
     out = forward * state[A_REF_MPS2] + PI_KP_PER_S * error
     if out >= 0.0:
         charge, rest = THROTTLE_MPS2, BRAKE_MPS2
-        # Twice the limit: the reference's acceleration takes up to one of it, the error needs the other.
+        # Twice the limit: up to one for the reference's acceleration, the other for the error.
         low, high = 0.0, 2.0 * setting[ACCEL]
     else:
         charge, rest = BRAKE_MPS2, THROTTLE_MPS2
@@ -166,7 +172,13 @@ def _damped(state: F64, x: float, y: float, setting: F64) -> None:
 
 @compile_exact_kernel
 def step(
-    state: F64, setting: F64, x: float, y: float, v_mps: float, left_radps: float, right_radps: float
+    state: F64,
+    setting: F64,
+    x: float,
+    y: float,
+    v_mps: float,
+    left_radps: float,
+    right_radps: float,
 ) -> tuple[float, float, float, float]:
     """One control step: `state` is moved on, the result holds for the physics step to come.
 
@@ -182,16 +194,20 @@ def step(
     Returns:
         Target speeds in rad/s and torque limits in Nm of the motors: left, right, left, right.
     """
+    # 1. The reference follows the joystick.
     _damped(state, x, y, setting)
-    v_wanted, w_wanted = _target(state[STICK_X], state[STICK_Y], state[V_REF_MPS], setting)
-    idle = v_wanted == 0.0 and w_wanted == 0.0
+    v_desired, w_desired = _target(state[STICK_X], state[STICK_Y], state[V_REF_MPS], setting)
+    idle = v_desired == 0.0 and w_desired == 0.0
     state[V_REF_MPS], state[A_REF_MPS2] = advance_speed(
-        state[V_REF_MPS], state[A_REF_MPS2], v_wanted, setting, setting[_DT_S]
+        state[V_REF_MPS], state[A_REF_MPS2], v_desired, setting, setting[_DT_S]
     )
-    state[W_REF_RADPS] = move_towards(state[W_REF_RADPS], w_wanted, setting[YAW_ACCEL] * setting[_DT_S])
+    most_radps = setting[YAW_ACCEL] * setting[_DT_S]
+    state[W_REF_RADPS] = move_towards(state[W_REF_RADPS], w_desired, most_radps)
     state[IDLE_S] = state[IDLE_S] + setting[_DT_S] if idle else 0.0
+
+    # 2. The motors follow the reference, or rest.
     if idle and abs(state[V_REF_MPS]) < STILL_MPS and abs(state[W_REF_RADPS]) < _STILL_RADPS:
-        # Nothing is left over for the next start: the controllers begin it from rest.
+        # Nothing is left over for the next start, which the controllers begin from rest.
         state[:IDLE_S] = 0.0
         if state[IDLE_S] >= setting[_BRAKE_AFTER]:
             return 0.0, 0.0, setting[_BRAKE_TORQUE], setting[_BRAKE_TORQUE]
@@ -200,7 +216,9 @@ def step(
     half = setting[_HALF_TRACK] * state[W_REF_RADPS]
     left = (state[V_MOTOR_MPS] - half) / setting[_RADIUS]
     right = (state[V_MOTOR_MPS] + half) / setting[_RADIUS]
-    # steering comes first: where both motors are at their limit, uphill, the chair would turn across the slope
+
+    # 3. Steering is first: with both motors at their limit, uphill, the chair would turn across
+    # the slope.
     ahead = (left_radps - right_radps) - (left - right)
     return (
         left,

@@ -85,7 +85,7 @@ class RollingPlant:
 
     @classmethod
     def of(cls, spec: PlantSpec, chair: ChairConfig, joint_of: Mapping[str, int]) -> RollingPlant:
-        """From a plant, the limits of its drive, and the places of its joints in `Motion` by name."""
+        """From a plant, its drive's limits, and the places of its joints in `Motion` by name."""
         # 1. What the drive wheels turn; half of a push is the other wheel's.
         radius_m, half_m, mass_kg = spec.wheel.radius_m, 0.5 * spec.wheel.track_m, spec.whole_kg
         com_x_m, _, com_z_m = spec.frame_com_m
@@ -104,30 +104,31 @@ class RollingPlant:
             moment_Nm, stiffness_Nmprad, damping_Nmsprad = balance
             body_kgm2 = spec.frame_inertia_kgm2[1] + spec.frame_mass_kg * (com_x_m**2 + com_z_m**2)
             numbers = stiffness_Nmprad, damping_Nmsprad, spec.frame_mass_kg * com_z_m
-            springs = np.array([*(number / body_kgm2 for number in numbers), -moment_Nm / stiffness_Nmprad])
+            rest_rad = -moment_Nm / stiffness_Nmprad
+            springs = np.array([*(number / body_kgm2 for number in numbers), rest_rad])
 
         # 3. The slope that leaves no grip: half of the weight, at least, lies on the drive wheels.
         push_mps2 = 2.0 * max(chair.accel_mps2, chair.decel_mps2)  # as far as the controllers go
         aside_mps2 = 0.5 * chair.v_max_mps * chair.yaw_rate_max_radps
         spare_mps2 = 0.5 * spec.wheel.friction * GRAVITY_MPS2 - math.hypot(push_mps2, aside_mps2)
-        casters = [
-            (pair.swivel_x_m, side * 0.5 * pair.track_m, pair.trail_m, pair.radius_m)
-            for pair in spec.casters
-            for side in (1.0, -1.0)
-        ]
+        # 4. The casters.
+        casters, joints = [], []
+        for number, pair in enumerate(spec.casters):
+            for side, sign in (("l", 1.0), ("r", -1.0)):
+                name, y_m = f"{number}_{side}", sign * 0.5 * pair.track_m
+                casters.append((pair.swivel_x_m, y_m, pair.trail_m, pair.radius_m))
+                swivel, wheel = joint_of[f"swivel_{name}"], joint_of[f"caster_{name}"]
+                joints.append((swivel, wheel, joint_of.get(f"arm_{name}", -1)))
         return cls(
             drive=np.array(drive),
             casters=np.array(casters),
             springs=springs,
-            joints=tuple(
-                (joint_of[f"swivel_{name}"], joint_of[f"caster_{name}"], joint_of.get(f"arm_{name}", -1))
-                for name in (f"{number}_{side}" for number in range(len(spec.casters)) for side in "lr")
-            ),
+            joints=tuple(joints),
             steepest=spare_mps2 / GRAVITY_MPS2,
         )
 
     def can_roll(self, state: PlantState, rotation: Rotation, plane: Plane) -> bool:
-        """Whether a chair stands on that plane with its wheels rolling, and has grip to spare there."""
+        """Whether a chair stands on that plane with its wheels rolling, and has grip to spare."""
         radius_m, half_m = float(self.drive[_RADIUS_M]), float(self.drive[_HALF_M])
         ahead_mps, aside_mps, up_mps = state.v_B_mps.tolist()
         rock_radps, nod_radps, turn_radps = state.w_B_radps.tolist()
@@ -161,7 +162,7 @@ class RollingPlant:
             plane: What it stands on.
             memory: Of its drive controller.
             setting: Of its drive controller.
-            stick: What its driver wants.
+            stick: Of its driver.
             steps: In the tick.
             dt_s: A step.
         """
@@ -171,7 +172,9 @@ class RollingPlant:
         rotation = matrix_from_quaternion(motion.q_WB)
         ahead, aside, up = (tilt.T @ rotation[::3]).tolist()
         yaw_rad, pitch_rad = math.atan2(aside, ahead), math.asin(up)
-        nod_radps = -rotate_vector_inverse(rotation, *motion.w_W_radps)[1] if self.springs[0] else 0.0
+        nod_radps = 0.0
+        if self.springs[0]:
+            nod_radps = -rotate_vector_inverse(rotation, *motion.w_W_radps)[1]
         left, right, *_ = joints = list(motion.joints)
         wheels = left[1], right[1], left[0], right[0]
         state = np.array([0.0, 0.0, yaw_rad, *wheels, pitch_rad, nod_radps])
@@ -181,8 +184,8 @@ class RollingPlant:
         # 2. The tick.
         memory, push = memory.copy(), (stick.x, stick.y)
         rows, hubs_m = np.empty((steps, ROW)), np.empty((steps, 2 + len(casters), 3))
-        numbers = self.drive, self.casters, self.springs
-        _roll(state, turning, memory, setting, *numbers, tilt, push, dt_s, rows, hubs_m)
+        plant = self.drive, self.casters, self.springs
+        _roll(state, turning, memory, setting, plant, tilt, push, dt_s, rows, hubs_m)
 
         # 3. The chair as it moves then.
         last = rows[-1].tolist()
@@ -216,7 +219,8 @@ def _tilt(plane: Plane) -> F64:
     length = math.sqrt(1.0 + plane.rise_x**2 + plane.rise_y**2)
     x, y, z = -plane.rise_x / length, -plane.rise_y / length, 1.0 / length
     k = 1.0 / (1.0 + z)
-    return np.array([[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]])
+    across = -k * x * y
+    return np.array([[1.0 - k * x * x, across, x], [across, 1.0 - k * y * y, y], [-x, -y, z]])
 
 
 @compile_exact_kernel
@@ -225,9 +229,7 @@ def _roll(
     turning: F64,
     memory: F64,
     setting: F64,
-    drive: F64,
-    casters: F64,
-    springs: F64,
+    plant: tuple[F64, F64, F64],
     tilt: F64,
     stick: tuple[float, float],
     dt_s: float,
@@ -241,45 +243,46 @@ def _roll(
         turning: (n, 3) of each caster, changed in place.
         memory: The drive controller's, changed in place.
         setting: The drive controller's.
-        drive: Of `RollingPlant`.
-        casters: Of `RollingPlant`.
-        springs: Of `RollingPlant`.
+        plant: Drive, casters and springs of `RollingPlant`.
         tilt: (3, 3) the plane's.
-        stick: What the driver wants: right, forward.
+        stick: Of the driver: right, forward.
         dt_s: A step.
         rows: (steps, ROW) takes what the sensors sample, see `physics/sensors/imu.py`.
         hubs: (steps, 2 + n, 3) takes the middles of the wheels from the chair's first place, in W.
     """
+    drive, casters, springs = plant
     radius, half = drive[_RADIUS_M], drive[_HALF_M]
     for n in range(len(rows)):
         left, right = state[_LEFT_RADPS], state[_RIGHT_RADPS]
         v, w = 0.5 * radius * (left + right), 0.5 * radius * (right - left) / half
-        # 1. What the motors are told, and what they can. The axle nods back above the ground.
+        # 1. The motors' targets, and what they can. The axle nods back above the ground.
         axle_mps = v - radius * state[_PITCH_RADPS]
-        told = drive_controller.step(memory, setting, *stick, axle_mps, left, right)
+        targets = drive_controller.step(memory, setting, *stick, axle_mps, left, right)
         cos, sin = math.cos(state[_YAW]), math.sin(state[_YAW])
         # Gravity along the plane, in the chair's frame.
         ahead = -GRAVITY_MPS2 * (tilt[2, 0] * cos + tilt[2, 1] * sin)
         aside = -GRAVITY_MPS2 * (tilt[2, 1] * cos - tilt[2, 0] * sin)
-        left, right = _turned(left, right, told, ahead, aside, drive, dt_s)
+        left, right = _turned(left, right, targets, ahead, aside, drive, dt_s)
         # 2. Both wheels roll, and springs give way to what pushes the chair back.
         push_mps2 = (0.5 * radius * (left + right) - v) / dt_s - ahead
         v, w = 0.5 * radius * (left + right), 0.5 * radius * (right - left) / half
-        state[_PITCH_RADPS] += dt_s * (
-            springs[2] * push_mps2 - springs[0] * (state[_PITCH] - springs[3]) - springs[1] * state[_PITCH_RADPS]
-        )
+        pull = springs[0] * (state[_PITCH] - springs[3])
+        nod_radps2 = springs[2] * push_mps2 - pull - springs[1] * state[_PITCH_RADPS]
+        state[_PITCH_RADPS] += dt_s * nod_radps2
         state[_PITCH] += state[_PITCH_RADPS] * dt_s
         middle = state[_YAW] + 0.5 * w * dt_s
         state[_X] += v * math.cos(middle) * dt_s
         state[_Y] += v * math.sin(middle) * dt_s
         state[_YAW] += w * dt_s
-        blow = _blow(state[_LEFT_RAD], left * dt_s, radius) + _blow(state[_RIGHT_RAD], right * dt_s, radius)
+        blow = _blow(state[_LEFT_RAD], left * dt_s, radius)
+        blow += _blow(state[_RIGHT_RAD], right * dt_s, radius)
         state[_LEFT_RAD] += left * dt_s
         state[_RIGHT_RAD] += right * dt_s
         state[_LEFT_RADPS], state[_RIGHT_RADPS] = left, right
         cos, sin = math.cos(state[_YAW]), math.sin(state[_YAW])
         # 3. What the sensors sample: rotation, velocity of the frame's centre of mass, turn rate.
-        tip_cos, tip_sin, nod = math.cos(state[_PITCH]), math.sin(state[_PITCH]), state[_PITCH_RADPS]
+        tip_cos, tip_sin = math.cos(state[_PITCH]), math.sin(state[_PITCH])
+        nod = state[_PITCH_RADPS]
         surge, swing = v - nod * drive[_COM_Z_M] - blow, w * drive[_COM_X_M] + blow
         heave = nod * drive[_COM_X_M] + 0.5 * blow
         for i in range(3):
@@ -303,7 +306,9 @@ def _roll(
 
 
 @compile_exact_kernel
-def _trail(caster: F64, turning: F64, v: float, w: float, dt_s: float) -> tuple[float, float, float]:
+def _trail(
+    caster: F64, turning: F64, v: float, w: float, dt_s: float
+) -> tuple[float, float, float]:
     """Turn a caster as its wheel rolls; the middle of that wheel in B."""
     x, y, trail, radius = caster
     ahead, aside = v - w * y, w * x
@@ -319,23 +324,23 @@ def _trail(caster: F64, turning: F64, v: float, w: float, dt_s: float) -> tuple[
 def _turned(
     left: float,
     right: float,
-    told: tuple[float, float, float, float],
+    targets: tuple[float, float, float, float],
     ahead_mps2: float,
     aside_mps2: float,
     drive: F64,
     dt_s: float,
 ) -> tuple[float, float]:
-    """The speeds of both drive wheels after a step: those that they are told, within the torques."""
+    """The speeds of both drive wheels after a step: their targets, within the torques."""
     own, other, radius, half = drive[_OWN], drive[_OTHER], drive[_RADIUS_M], drive[_HALF_M]
     v, w = 0.5 * radius * (left + right), 0.5 * radius * (right - left) / half
     # The push of the weight, and of the mass that lies ahead of the axle in a turn.
     push = 0.5 * radius * (drive[_AHEAD] * ahead_mps2 + drive[_ASIDE] * w * w)
     twist = 0.5 * radius * drive[_ASIDE] * (aside_mps2 - v * w) / half
-    gain_left, gain_right = (told[0] - left) / dt_s, (told[1] - right) / dt_s
+    gain_left, gain_right = (targets[0] - left) / dt_s, (targets[1] - right) / dt_s
     torque_left = own * gain_left + other * gain_right - (push - twist)
     torque_right = own * gain_right + other * gain_left - (push + twist)
-    torque_left = min(max(torque_left, -told[2]), told[2]) + push - twist
-    torque_right = min(max(torque_right, -told[3]), told[3]) + push + twist
+    torque_left = min(max(torque_left, -targets[2]), targets[2]) + push - twist
+    torque_right = min(max(torque_right, -targets[3]), targets[3]) + push + twist
     step = dt_s / (own * own - other * other)
     return (
         left + step * (own * torque_left - other * torque_right),
@@ -345,7 +350,7 @@ def _turned(
 
 @compile_exact_kernel
 def _blow(turned_rad: float, turn_rad: float, radius_m: float) -> float:
-    """The speed that an edge of the ground gives a wheel in a step: by its way, the same each time."""
+    """The speed that an edge of the ground gives a wheel in a step, by its way alone."""
     notch = math.floor((turned_rad + turn_rad) * radius_m / _NOTCH_M)
     drawn = notch * 40503 % 65536
     drawn = (drawn ^ (drawn >> 7)) * 30011 % 65536

@@ -1,6 +1,6 @@
 """Where the wheels of a chair were in the last seconds, and whether one fell off a kerb.
 
-Such a fall is a crash of its own, though no part of the chair but wheels may touch anything.
+Such a fall is a crash of its own, though nothing but wheels may have touched anything.
 """
 
 import math
@@ -16,8 +16,13 @@ from wcsim.physics.bullet import Bullet
 from wcsim.types import F64, Bool, Ground
 
 SAMPLE_S: Final = 0.05
-KEPT_S: Final = 2.5  # longer than the longest tick and all that is asked of the time before it
-_PLACE: Final = 0  # of a link's centre of mass, among what PyBullet says of a link
+KEPT_S: Final = 2.5  # longer than the longest tick with the time before it that is looked at
+WITHIN_S: Final = 0.3  # a wheel that sinks for longer is let down
+FASTER_MPS: Final = 0.3  # a slower chair feels its way down
+AFTER_EDGE_S: Final = 1.0  # a slow wheel rolls over the edge of a kerb for so long before it falls
+_PLACE: Final = 0  # of a link's centre of mass, in PyBullet's state of a link
+_SOFT: Final = 2  # samples that the edge of a kerb takes, which the raster's cells may cut in two
+_HAIR_M: Final = 1e-6  # heights of the raster are whole centimetres
 
 
 class WheelTrack:
@@ -31,12 +36,14 @@ class WheelTrack:
     """
 
     def __init__(self, body: int, wheels: Iterable[int], step_s: float, bullet: Bullet) -> None:
-        self._body, self._wheels, self._bullet = body, tuple(wheels), bullet
+        self._body = body
+        self._wheels = tuple(wheels)
+        self._bullet = bullet
         self.set_step(step_s)
-        self._kept = round(KEPT_S / (self._every * step_s))
-        # each sample is written twice, so that the last `_kept` ones always lie in one piece
-        self._p_W_m = np.zeros((2 * self._kept, len(self._wheels), 3))
-        self._speed_mps = np.zeros(2 * self._kept)
+        self._size = round(KEPT_S / (self._every * step_s))
+        # Each sample is written twice, so that the last `_size` ones are always in one piece.
+        self._p_W_m = np.zeros((2 * self._size, len(self._wheels), 3))
+        self._speed_mps = np.zeros(2 * self._size)
         self.clear()
 
     def set_step(self, step_s: float) -> None:
@@ -64,35 +71,28 @@ class WheelTrack:
                 self._add(wheels_W_m, speed)
 
     def _add(self, p_W_m: ArrayLike, speed_mps: float) -> None:
-        at = self._count % self._kept
-        for row in (at, at + self._kept):
+        at = self._count % self._size
+        for row in (at, at + self._size):
             self._p_W_m[row] = p_W_m
             self._speed_mps[row] = speed_mps
         self._count += 1
 
     def samples(self) -> tuple[F64, F64]:
-        """Middles of the wheels in W (n, W, 3) and the chair's speed over the ground (n,), the oldest first.
+        """Middles of the wheels in W (n, W, 3) and the chair's speed over the ground (n,).
 
-        They are views, and change with the next sample.
+        The oldest are first. They are views, and change with the next sample.
         """
-        first = self._count % self._kept if self._count > self._kept else 0
-        last = first + min(self._count, self._kept)
+        first = self._count % self._size if self._count > self._size else 0
+        last = first + min(self._count, self._size)
         return self._p_W_m[first:last], self._speed_mps[first:last]
-
-
-WITHIN_S: Final = 0.3  # a wheel that sinks for longer is let down
-FASTER_MPS: Final = 0.3  # a slower chair feels its way down
-AFTER_EDGE_S: Final = 1.0  # a slow wheel rolls over the edge of a kerb for so long before it falls
-_SOFT: Final = 2  # samples that the edge of a kerb takes, which the raster's cells may cut in two
-_HAIR_M: Final = 1e-6  # heights of the raster are whole centimetres
 
 
 def fell(p_W_m: F64, speed_mps: F64, ground: Ground) -> bool:
     """Whether a wheel fell off a kerb while the chair was moving.
 
-    It sank more than a wheel takes, within 0.3 s, and just before it had rolled over an edge of the ground as high as
-    that. The edge tells a fall from a wheel that bounces, and from a ramp that a fast chair rolls down; the heights are
-    those above the land, so that steep land is no edge.
+    It sank more than a wheel takes, within 0.3 s, and just before it had rolled over an edge of the
+    ground as high as that. A wheel that bounces meets no edge, nor does a fast chair on a ramp. The
+    heights are those above the land, so that steep land is no edge.
 
     Args:
         p_W_m: Middles of the wheels (n, W, 3), a sample every `SAMPLE_S`, the oldest first.
@@ -103,12 +103,20 @@ def fell(p_W_m: F64, speed_mps: F64, ground: Ground) -> bool:
     # Heights of the raster are looked up only where a wheel sank, which is hardly ever.
     if not _sank(p_W_m, speed_mps, round(WITHIN_S / SAMPLE_S), sank):
         return False
-    return bool((sank & _after_edge(ground.raised_at(p_W_m))).any())
+    # Where a wheel went down an edge of the ground, and in the second after it.
+    raised_m = ground.raised_at(p_W_m)
+    edge = np.zeros(raised_m.shape, np.bool_)
+    for back in range(1, _SOFT + 1):
+        edge[back:] |= raised_m[:-back] - raised_m[back:] > KERB_STEP_M + _HAIR_M
+    after = edge.copy()
+    for back in range(1, round(AFTER_EDGE_S / SAMPLE_S) + 1):
+        after[back:] |= edge[:-back]
+    return bool((sank & after).any())
 
 
 @compile_exact_kernel
 def _sank(p_W_m: F64, speed_mps: F64, window: int, sank: Bool) -> bool:
-    """Note in `sank` (n, W) where a wheel is that much lower than in the samples before, when the chair was fast."""
+    """Note in `sank` (n, W) where a wheel is lower by that than before, when the chair was fast."""
     found = False
     for at in range(len(speed_mps)):
         for before in range(max(0, at - window), at):
@@ -118,14 +126,3 @@ def _sank(p_W_m: F64, speed_mps: F64, window: int, sank: Bool) -> bool:
                     if p_W_m[before, wheel, 2] - p_W_m[at, wheel, 2] > KERB_STEP_M:
                         sank[at, wheel] = found = True
     return found
-
-
-def _after_edge(raised_m: F64) -> Bool:
-    """(n, W) where a wheel went down an edge of the ground within the last second."""
-    edge = np.zeros(raised_m.shape, np.bool_)
-    for back in range(1, _SOFT + 1):
-        edge[back:] |= raised_m[:-back] - raised_m[back:] > KERB_STEP_M + _HAIR_M
-    after = edge.copy()
-    for back in range(1, round(AFTER_EDGE_S / SAMPLE_S) + 1):
-        after[back:] |= edge[:-back]
-    return after
