@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
@@ -41,6 +42,8 @@ class TickOptions:
     """Camera width in pixels; the height is three quarters of it."""
     naive: bool = True
     """Compare with a naive loop of SUMO and PyBullet."""
+    naive_camera: bool = True
+    """Let it draw pictures, with TinyRenderer; otherwise it sees nothing."""
     seed: int = 4
     """Random seed of the world."""
     set: Repeated = ()
@@ -67,7 +70,7 @@ def run(options: TickOptions) -> int:
     from benchmarks.tick.naive_world import NaiveWorld
     from benchmarks.tick.tick_cost import measure_tick
 
-    naive = NaiveWorld if options.naive else None
+    naive = partial(NaiveWorld, looks=options.naive_camera) if options.naive else None
     costs: dict[int, TickCost] = {}
     with Progress(console=stderr_console(), transient=True) as bar:
         for chairs in numbers:
@@ -137,7 +140,7 @@ def _row(cost: TickCost) -> dict[str, Any]:
 def _table(costs: dict[int, TickCost]) -> Table:
     table = Table("chairs", "ticks/s", "naive", "bridge", "ms", "actors", "memory", "share of the time")
     for chairs, cost in costs.items():
-        naive = "-" if cost.ratio_vs_naive is None else f"{cost.ratio_vs_naive:.0f}x"
+        naive = "-" if cost.ratio_vs_naive is None else f"{cost.ratio_vs_naive:.2g}x"
         share = "  ".join(f"{name} {part:.0%}" for name, part in cost.share if part >= 0.005)
         rate, bridge = f"{cost.ticks_per_s:.0f}", f"{cost.bridge_overhead:.0%}"
         ms, actors = f"{cost.bridge_ms:.2f}", f"{cost.actors:.0f}"

@@ -25,11 +25,19 @@ class NaiveLoop:
     """Chairs in a street of bodies; close it."""
 
     def __init__(
-        self, mesh: StreetMesh, camera: CameraConfig, starts: Sequence[tuple[F64, float]], substeps: int, tick_s: float
+        self,
+        mesh: StreetMesh,
+        camera: CameraConfig | None,
+        starts: Sequence[tuple[F64, float]],
+        substeps: int,
+        tick_s: float,
     ) -> None:
-        """Chairs at `starts` (place, heading) in a street; a tick is `tick_s` long and has `substeps` physics steps."""
+        """Chairs at `starts` (place, heading) in a street; a tick is `tick_s` long and has `substeps` physics steps.
+
+        Without a camera they see nothing.
+        """
         self.bullet = Bullet()
-        self.camera, self.lens, self.mount = camera, pinhole(camera), mount(camera)
+        self.camera = camera
         self.actors: dict[str, tuple[int, float]] = {}
         self.substeps = substeps
         self.bullet.setGravity(0, 0, -GRAVITY_MPS2)
@@ -57,7 +65,7 @@ class NaiveLoop:
                 )
         for _ in range(self.substeps):
             self.bullet.stepSimulation()
-        return [self._look(chair) for chair in self.chairs]
+        return [self._look(chair, self.camera) for chair in self.chairs] if self.camera else []
 
     def close(self) -> None:
         """End the engine."""
@@ -72,13 +80,14 @@ class NaiveLoop:
             body: int = self.bullet.loadURDF(str(path), place, turn)
         return body
 
-    def _look(self, chair: int) -> tuple[F32, I32]:
+    def _look(self, chair: int, camera: CameraConfig) -> tuple[F32, I32]:
+        lens = pinhole(camera)
         place, q = self.bullet.getBasePositionAndOrientation(chair)
         yaw_rad = pybullet.getEulerFromQuaternion(q)[2]
-        T_CW = camera_matrix(pose_of(place, yaw_rad, 0.0), self.mount)
-        width, height, near, far = self.lens.width_px, self.lens.height_px, self.lens.near_m, self.lens.range_m
+        T_CW = camera_matrix(pose_of(place, yaw_rad, 0.0), mount(camera))
+        width, height, near, far = lens.width_px, lens.height_px, lens.near_m, lens.range_m
         _, _, _, depth, bodies = self.bullet.getCameraImage(
-            width, height, view_matrix(T_CW), projection_matrix(self.lens), shadow=0,
+            width, height, view_matrix(T_CW), projection_matrix(lens), shadow=0,
             renderer=pybullet.ER_TINY_RENDERER)  # fmt: skip
         z = far * near / (far - (far - near) * np.asarray(depth, np.float32).reshape(height, width))
         return z, np.asarray(bodies, np.int32).reshape(height, width)

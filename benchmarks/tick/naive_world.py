@@ -30,7 +30,7 @@ WHEEL_RADPS = 6.0
 class NaiveWorld:
     """SUMO, PyBullet and its camera without any of the product's thoughts; see `benchmarks.interleave.Runner`."""
 
-    def __init__(self, sumocfg: Path, config: RunConfig, chairs: int, seed: int) -> None:
+    def __init__(self, sumocfg: Path, config: RunConfig, chairs: int, seed: int, looks: bool = True) -> None:
         town = open_town(sumocfg)
         street = load_street(town)
         self.origin_m = town.file.origin_m
@@ -48,7 +48,8 @@ class NaiveWorld:
         for _ in range(chairs):
             (x, y), yaw_rad = router.random_start(rng)
             starts.append((np.array([x, y, street.grid.height_at(np.array([x, y]))]), yaw_rad))
-        self.loop = NaiveLoop(street.mesh, config.cameras[0], starts, config.world.usual_substeps, config.world.tick_s)
+        camera = config.cameras[0] if looks else None
+        self.loop = NaiveLoop(street.mesh, camera, starts, config.world.usual_substeps, config.world.tick_s)
 
     def tick(self) -> tuple[float, ...]:
         """Wall and processor seconds of the tick, and the number of actors."""

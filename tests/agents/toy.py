@@ -20,7 +20,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.support.samples import ACTIONS, stacked
-from wcsim.agents.envs.episode_view import OBJECTS, FrameStacker, InfoObjects, window_observation_space
+from wcsim.agents.envs.episode_view import OBJECTS, WORLD_RESTARTED, FrameStacker, InfoObjects, window_observation_space
 from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.checkpoint import make_checkpoint_restorer
 from wcsim.agents.learning.replay.buffer import FrameReplay
@@ -249,6 +249,23 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
                 t = np.where(root > 0, (b - np.sqrt(np.maximum(root, 0))) / a, -1.0)
                 paint(t, 0.0, TOP_M, ClassId.PERSON if vx or vy else ClassId.POLE)
         return depth, ids
+
+
+class CutStreet(ToyStreet):
+    """A toy street whose world begins again at one step, which shows what was seen before it, as `Chair.cut` does."""
+
+    def __init__(self, at: int, camera: CameraConfig, max_steps: int) -> None:
+        super().__init__(camera, max_steps)
+        self.at, self.steps = at, 0
+
+    def step(self, action):
+        self.steps += 1
+        seen, *rest = super().step(action)
+        if self.steps == self.at:
+            self.shown = self.seen
+            return self.shown, 0.0, False, True, {**rest[-1], WORLD_RESTARTED: True}
+        self.seen = seen
+        return seen, *rest
 
 
 def camera_rays(camera: CameraConfig) -> np.ndarray:

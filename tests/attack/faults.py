@@ -41,7 +41,12 @@ class Row:
     what: str
     codes: Counter[int] = field(default_factory=Counter)
     defects: list[str] = field(default_factory=list)
+    begin_s: float = field(default_factory=time.monotonic)
     seconds: float = 0.0
+
+    def end(self) -> None:
+        """All of these faults are over."""
+        self.seconds = time.monotonic() - self.begin_s
 
     def note(self, wrong: str, words: str) -> None:
         """A defect, where there is one."""
@@ -70,6 +75,12 @@ def start(folder: Path, *words: object, before: Sequence[str] = ()) -> subproces
     )
 
 
+def train(folder: Path, corner: Path, steps: int = FOREVER, before: Sequence[str] = ()) -> subprocess.Popen[str]:
+    """A run of two clients in `folder/run`, as a process of its own."""
+    words = ("train-clients", "patch,patch", "--town", corner, "--steps", steps, "--out", "run", *QUICK)
+    return start(folder, *words, before=before)
+
+
 def ticks_of(run: Path) -> int:
     """Ticks that a world has done, by its journal."""
     with contextlib.suppress(WcsimError):
@@ -77,22 +88,26 @@ def ticks_of(run: Path) -> int:
     return 0
 
 
-def stopped_at(folder: Path, ticks: int, *words: object, limit_s: float = 120.0) -> tuple[int, str]:
-    """Let a command go on until its world has done so many ticks more, then ask it to end."""
-    child, run = start(folder, *words), folder / "run"
+def go_on(child: subprocess.Popen[str], run: Path, ticks: int, limit_s: float = float("inf")) -> None:
+    """Let a command go on until its world has done so many ticks more."""
     until, deadline_s = ticks_of(run) + ticks, time.monotonic() + limit_s
     while child.poll() is None and ticks_of(run) < until and time.monotonic() < deadline_s:
         time.sleep(0.2)
+
+
+def stopped(child: subprocess.Popen[str]) -> tuple[int, str]:
+    """Ask a command to end, and wait for that."""
     child.send_signal(signal.SIGINT)
-    _, err = child.communicate(timeout=limit_s)
+    _, err = child.communicate(timeout=120.0)
     return child.returncode, err
 
 
-def begun(folder: Path, corner: Path, steps: int = FOREVER, ticks: int = 25) -> Path:
+def begun(folder: Path, corner: Path, steps: int = FOREVER) -> Path:
     """An interrupted run of two clients in `folder/run`."""
     folder.mkdir(parents=True, exist_ok=True)
-    words = ("train-clients", "patch,patch", "--town", corner, "--steps", steps, "--out", "run", *QUICK)
-    code, err = stopped_at(folder, ticks, *words)
+    child = train(folder, corner, steps)
+    go_on(child, folder / "run", 25, 120.0)
+    code, err = stopped(child)
     assert code == ExitCode.STOPPED, err
     return folder / "run"
 
@@ -134,8 +149,7 @@ def audited(run: Path) -> str:
 
 def storms(folder: Path, corner: Path, count: int, seed: int) -> Row:
     """Three to twenty SIGTERM at any moment, each storm in a command that goes on with the run of the one before."""
-    row, begin_s = Row(what="storms of SIGTERM"), time.monotonic()
-    run = begun(folder, corner)
+    row, run = Row(what="storms of SIGTERM"), begun(folder, corner)
     for number, rng in draws(count, seed):
         child = start(folder, "resume", "run")
         time.sleep(float(rng.uniform(0.05, 9.0)))
@@ -145,13 +159,13 @@ def storms(folder: Path, corner: Path, count: int, seed: int) -> Row:
                 child.send_signal(signal.SIGTERM)
             time.sleep(spacing_s)
         note_end(row, run, child, (ExitCode.STOPPED, *AT_ONCE), f"storm {number}")
-    _went_on(row, folder, begin_s)
+    _went_on(row, folder)
     return row
 
 
 def full_disks(folder: Path, corner: Path, count: int, seed: int) -> Row:
     """A disk that becomes full some time after the start, and has room again afterwards."""
-    row, begin_s = Row(what="full disks"), time.monotonic()
+    row = Row(what="full disks")
     folder.mkdir()
     with _disk(folder) as limit:
         run = begun(folder, corner)
@@ -161,45 +175,36 @@ def full_disks(folder: Path, corner: Path, count: int, seed: int) -> Row:
             try:
                 _, err = child.communicate(timeout=120)
             except subprocess.TimeoutExpired:
-                child.send_signal(signal.SIGINT)
-                _, err = child.communicate(timeout=120)
+                _, err = stopped(child)
             limit(-1)
             row.codes[child.returncode] += 1
             row.note(wrong_with(run, child.returncode, err, (ExitCode.FAILED,)), f"disk {number}")
-        _went_on(row, folder, begin_s)
+        _went_on(row, folder)
     return row
 
 
 def stops(folder: Path, corner: Path, count: int, seed: int) -> Row:
     """A client or the world that stands still for up to 20 s, as with SIGSTOP, and goes on; nobody loses a tick."""
-    row, begin_s, run = Row(what="SIGSTOP and SIGCONT"), time.monotonic(), folder / "run"
+    row, run = Row(what="SIGSTOP and SIGCONT"), folder / "run"
     folder.mkdir()
-    words = ("train-clients", "patch,patch", "--town", corner, "--steps", FOREVER, "--out", "run", *QUICK)
-    child = start(folder, *words)
+    child = train(folder, corner)
     for _, rng in draws(count, seed):
-        before = ticks_of(run)
-        while child.poll() is None and ticks_of(run) < before + 10:
-            time.sleep(0.2)
+        go_on(child, run, 10)
         chosen = pick(rng, psutil.Process(child.pid).children(recursive=True))
         row.codes[0] += 1
         with contextlib.suppress(psutil.NoSuchProcess):
             chosen.suspend()
             time.sleep(float(pick(rng, (0.3, 3.0, 20.0))))
             chosen.resume()
-    before = ticks_of(run)
-    while child.poll() is None and ticks_of(run) < before + 10:
-        time.sleep(0.2)
-    child.send_signal(signal.SIGINT)
-    _, err = child.communicate(timeout=120)
-    row.note(wrong_with(run, child.returncode, err, (ExitCode.STOPPED,)), f"after {count} stops")
-    row.seconds = time.monotonic() - begin_s
+    go_on(child, run, 10)
+    row.note(wrong_with(run, *stopped(child), (ExitCode.STOPPED,)), f"after {count} stops")
+    row.end()
     return row
 
 
 def flips(folder: Path, corner: Path, count: int, seed: int) -> Row:
     """A bit of any file of a run folder; each in a copy of the same run, of which little is left to do."""
-    row, begin_s = Row(what="flipped bits"), time.monotonic()
-    run = begun(folder, corner, steps=40, ticks=25)
+    row, run = Row(what="flipped bits"), begun(folder, corner, steps=40)
     shutil.copytree(run, folder / "sound")
     names = sorted(str(path.relative_to(run)) for path in run.rglob("*") if path.is_file() and path.stat().st_size)
     for number, rng in draws(count, seed):
@@ -209,7 +214,7 @@ def flips(folder: Path, corner: Path, count: int, seed: int) -> Row:
         (run / name).write_bytes(flipped((run / name).read_bytes(), rng))
         child = start(folder, "resume", "run")
         note_end(row, run, child, (ExitCode.DONE, ExitCode.REFUSED), f"flip {number} in {name}", limit_s=200.0)
-    row.seconds = time.monotonic() - begin_s
+    row.end()
     return row
 
 
@@ -217,10 +222,9 @@ def flips_when_done(
     folder: Path, corner: Path, each: int, seed: int, wcsim: Callable[[list[str]], tuple[int, str]]
 ) -> Row:
     """So many bits of each file that is read when a finished run is asked for again, by `wcsim` in this process."""
-    row, begin_s = Row(what="flipped bits, finished run"), time.monotonic()
-    words = ("train-clients", "patch,patch", "--town", corner, "--steps", 30, "--out", "run", *QUICK)
+    row = Row(what="flipped bits, finished run")
     folder.mkdir()
-    _, err = start(folder, *words).communicate(timeout=200)
+    _, err = train(folder, corner, 30).communicate(timeout=200)
     run = folder / "run"
     assert not audited(run), err
     files = [path for path in run.rglob("*") if path.is_file() and path.stat().st_size]
@@ -236,15 +240,16 @@ def flips_when_done(
             path.write_bytes(whole)
         for kept in (*run.glob("journal.torn*"), *run.glob("ledgers/*.torn*")):
             kept.unlink()
-    row.seconds = time.monotonic() - begin_s
+    row.end()
     return row
 
 
-def _went_on(row: Row, folder: Path, begin_s: float) -> None:
+def _went_on(row: Row, folder: Path) -> None:
     """After all faults the run goes on, and can be stopped."""
-    code, err = stopped_at(folder, 15, "resume", "run")
-    row.note(wrong_with(folder / "run", code, err, (ExitCode.STOPPED,)), "after the last one")
-    row.seconds = time.monotonic() - begin_s
+    child, run = start(folder, "resume", "run"), folder / "run"
+    go_on(child, run, 15, 120.0)
+    row.note(wrong_with(run, *stopped(child), (ExitCode.STOPPED,)), "after the last one")
+    row.end()
 
 
 @contextlib.contextmanager

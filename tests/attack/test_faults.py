@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,13 +27,11 @@ def told(*rows: faults.Row) -> None:
 
 
 @pytest.mark.proof
-def test_storms_of_signals_cost_nothing(tmp_path: Path, corner: Path) -> None:
-    told(faults.storms(tmp_path / "storms", corner, 20, 1))
-
-
-@pytest.mark.proof
-def test_who_is_stopped_and_goes_on_loses_no_tick(tmp_path: Path, corner: Path) -> None:
-    told(faults.stops(tmp_path / "stops", corner, 8, 1))
+@pytest.mark.parametrize("fault, count", [(faults.storms, 20), (faults.stops, 8), (faults.full_disks, 20)])
+def test_storms_of_signals_stops_and_full_disks_cost_nothing(
+    tmp_path: Path, corner: Path, fault: Callable[..., faults.Row], count: int
+) -> None:
+    told(fault(tmp_path / "runs", corner, count, 1))
 
 
 def test_nothing_waits_by_a_clock_that_may_be_set_back() -> None:
@@ -58,11 +57,6 @@ def test_a_disk_that_is_full_while_a_test_is_written_leaves_the_earlier_result_w
 
 
 @pytest.mark.proof
-def test_full_disks_cost_nothing(tmp_path: Path, corner: Path) -> None:
-    told(faults.full_disks(tmp_path / "disks", corner, 20, 1))
-
-
-@pytest.mark.proof
 def test_flipped_bits_are_got_over_or_told(tmp_path: Path, corner: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def wcsim(words: list[str]) -> tuple[int, str]:
         code = main(words)
@@ -76,8 +70,7 @@ def test_flipped_bits_are_got_over_or_told(tmp_path: Path, corner: Path, capsys:
 def test_a_disk_that_is_full_early_costs_nothing(tmp_path: Path, corner: Path) -> None:
     """Before any episode or checkpoint: what the world has done is kept, and gone on with."""
     run = tmp_path / "run"
-    words = ("train-clients", "patch,patch", "--town", corner, "--steps", 60, "--out", "run", *faults.QUICK)
-    child = faults.start(tmp_path, *words, before=("bash", "-c", 'ulimit -f 200; exec "$@"', "-"))
+    child = faults.train(tmp_path, corner, 60, ("bash", "-c", 'ulimit -f 200; exec "$@"', "-"))
     _, err = child.communicate(timeout=120)
     assert faults.wrong_with(run, child.returncode, err, (ExitCode.FAILED,)) == ""
     assert "wcsim resume run" in err

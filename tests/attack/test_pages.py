@@ -35,9 +35,8 @@ TEXTS = ("part", "town", "profile", "reason", "fault", "partner")
 
 @pytest.fixture
 def context(browser: Any) -> Iterator[Any]:  # noqa: F811 - that fixture
-    found = browser.new_context()
-    yield found
-    found.close()
+    with browser.new_context() as found:
+        yield found
 
 
 def shown(context: Any, path: Path) -> str:

@@ -65,6 +65,8 @@ def test_tick_gives_rate_and_shares(measure, corner):
     row = result["2"]
     assert result["physics_hz"] == 240 and row["ticks_per_s"] > 0.0
     assert row["ratio_vs_naive"] > 1.0
+    blind = measure("tick", "--town", corner, "--ticks", "20", "--chairs", "2", "--no-naive-camera", "--json", "c")
+    assert 0.0 < read("c")["2"]["ratio_vs_naive"] < row["ratio_vs_naive"], blind
     assert {"sumo", "physics", "render"} <= set(row["share"])
     assert sum(row["share"].values()) == pytest.approx(1.0, abs=0.02)
 

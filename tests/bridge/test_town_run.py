@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.actors import actor
+from tests.support.framing import write_log
 from tests.support.worlds import quick_config
 from tests.towns.made import hostile
 from wcsim.bridge.reaction.articulated import Articulation
@@ -13,7 +14,6 @@ from wcsim.bridge.world import World
 from wcsim.errors import SumoError, TownError
 from wcsim.log.reader import read_trace_states
 from wcsim.log.records import Header, world_state_from_snapshot
-from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import ActorKind, Snapshot
@@ -39,9 +39,8 @@ def test_a_tram_near_a_chair_is_recorded_in_all_its_pieces_and_is_one_vehicle_of
     assert [(a.id, a.piece) for a in recorded] == [("v:far", 0), ("v:tram", 0), ("v:tram~1", 1), ("v:tram~2", 2)]
     assert sum(a.size_lwh_m[0] for a in recorded[1:]) == pytest.approx(26.0)
     header = Header(town="t", seed=1, tick_s=0.1, seats=0, fingerprint="f")
-    with LogWriter(tmp_path / TRACE, header) as writer:
-        writer.append(world_state_from_snapshot(snapshot, (), recorded))
-    convert_to_fcd(tmp_path / TRACE, tmp_path / "fcd.xml")
+    trace = write_log(tmp_path / TRACE, header, [world_state_from_snapshot(snapshot, (), recorded)])
+    convert_to_fcd(trace, tmp_path / "fcd.xml")
     (step,) = read_root(tmp_path / "fcd.xml")
     assert [(v.get("id"), float(v.get("x", "nan"))) for v in step] == [("far", 313.0), ("tram", 33.0)]
 

@@ -11,7 +11,7 @@ import pytest
 from tests.cli.conftest import Result, files_in, parsed
 from tests.cli.test_bad_input import refused
 from tests.towns.made import hostile
-from tests.towns.made.nets import PAVED
+from tests.towns.made.nets import PAVED, moved
 from wcsim.towns.sumo.tools import run_tool
 
 RUN = ("--seconds", "1", "--set", "cameras.0.width_px=32", "--set", "cameras.0.height_px=24", "--out", "run")
@@ -76,11 +76,8 @@ def refused_at_once(wcsim, folder, theirs, *message):
 
 
 def test_a_net_that_was_never_projected(wcsim, folder, theirs):
-    def degrees(match: re.Match[str]) -> str:
-        places = [tuple(float(v) for v in part.split(",")[:2]) for part in match[1].split()]
-        return ' shape="' + " ".join(f"{25 + x / 6e4:.7f},{60 + y / 1.1e5:.7f}" for x, y in places) + '"'
-
-    change(theirs / "a.net.xml", r' shape="([^"]+)"', degrees)
+    net = theirs / "a.net.xml"
+    moved(net, net, lambda x, y: f"{25 + x / 6e4:.7f},{60 + y / 1.1e5:.7f}")
     refused_at_once(wcsim, folder, theirs, "a.net.xml", "degrees", "with netconvert's option --proj.utm")
 
 

@@ -14,6 +14,7 @@ import pytest
 
 from tests.cli.conftest import QUICK, Result, files_in
 from tests.cli.towns import TINY_BBOX, tiny_osm
+from tests.support.films import frames_of
 from wcsim.agents.evaluation.suite.make import town_list
 from wcsim.agents.opening.list_file import write_list
 from wcsim.cli import doctor
@@ -26,6 +27,7 @@ TOWN_KEYS = {
     *("town", "crossings", "walkingareas", "walkable_largest_share", "classes", "unroutable"),
 }
 COLUMNS = 80
+NEW = "note: made the folder new\n"
 STAGES = ["reading", "building", "adding", "building", "checking", "testing", "testing"]  # an import's lines
 
 
@@ -38,9 +40,14 @@ def read(path: str | Path) -> Any:
     return json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=refuse)
 
 
+def done(result: Result, note: str = "") -> None:
+    """All went well, and nothing else was said."""
+    assert (result.code, result.err) == (0, note)
+
+
 def well(result: Result) -> None:
     """All went well and quietly, and the table can be read."""
-    assert (result.code, result.err) == (0, "")
+    done(result)
     assert fits(result.out)
 
 
@@ -73,7 +80,7 @@ def tiny(wcsim, imported) -> Path:
 
 def test_town_list_shows_the_shipped_towns_and_ones_own(wcsim, corner):
     result = wcsim("town", "list")
-    assert (result.code, result.err) == (0, "")
+    done(result)
     shown = re.findall(r"(\w[\w-]*) +│ (train|test|scene) ", result.out)
     assert shown == [("helsinki", "train"), ("karhula", "train"), ("manhattan", "test"), ("monaco", "test")]
     assert fits(result.out)
@@ -84,7 +91,7 @@ def test_town_list_shows_the_shipped_towns_and_ones_own(wcsim, corner):
 
 def test_town_check_reports_and_writes_its_keys(wcsim, folder, corner):
     result = wcsim("town", "check", corner, "--json", "new/check.json")
-    assert (result.code, result.err) == (0, "note: made the folder new\n")
+    done(result, NEW)
     # A note has a command to be typed, which is not wrapped.
     table, _, notes = result.out.partition("note: ")
     assert fits(table) and "SUMO warns" in notes
@@ -204,14 +211,14 @@ def test_chair_check_compares_rates(wcsim):
 
 def test_chair_check_draws_the_plants(wcsim):
     result = wcsim("chair", "check", "--plants", "mwd", "--pictures", "drawn")
-    assert (result.code, result.err) == (0, "")
+    done(result)
     picture = cv2.imread("drawn/plant_mwd.png")
     assert picture.shape[0] > 800 and len({tuple(pixel) for pixel in picture[::7, ::7].reshape(-1, 3)}) > 5
 
 
 def test_snapshot_is_a_picture_of_the_right_size(wcsim, folder, corner):
     result = wcsim("snapshot", corner, "--seed", "2", "--seconds", "1", "--width", "96", "--out", "new/shot.png")
-    assert (result.code, result.err) == (0, "note: made the folder new\n")
+    done(result, NEW)
     assert result.out.startswith("new/shot.png: ")
     picture = cv2.imread("new/shot.png")
     assert picture.shape == (72, 3 * 96, 3)
@@ -221,15 +228,8 @@ def test_snapshot_is_a_picture_of_the_right_size(wcsim, folder, corner):
 
 def test_video_holds_all_its_frames(wcsim, folder, corner):
     result = wcsim("video", corner, "--seconds", "1.5", "--width", "80", "--out", "new/film.webm")
-    assert (result.code, result.err) == (0, "note: made the folder new\n")
-    film = cv2.VideoCapture("new/film.webm")
-    frames = []
-    while True:
-        there, frame = film.read()
-        if not there:
-            break
-        frames.append(frame)
-    film.release()
+    done(result, NEW)
+    frames = frames_of("new/film.webm")
     assert len(frames) == 15
     assert frames[0].shape == (60, 80 + 60, 3)
     assert (frames[0] != frames[-1]).any()
@@ -252,12 +252,12 @@ def test_settings_are_laid_over_those_of_pictures_and_films(wcsim, folder, corne
     for words in ("video", "video --policy follow"):
         result = wcsim(*words.split(), corner, "--width", "80", *slow, "--seconds", "0.5", "--out", "slow.webm")
         assert result.code == 0
-        assert cv2.VideoCapture("slow.webm").get(cv2.CAP_PROP_FRAME_COUNT) == 5
+        assert len(frames_of("slow.webm")) == 5
 
 
 def test_look_takes_a_picture_and_a_video_of_a_town(wcsim, folder, corner):
     result = wcsim("look", corner, "--seconds", "0.3", "--out", "new")
-    assert (result.code, result.err) == (0, "note: made the folder new\n")
+    done(result, NEW)
     name = find_town(str(corner)).name
     made = [f"new/{name}-street.png", f"new/{name}.png", f"new/{name}.webm"]
     assert [line.split(": ")[0] for line in result.out.splitlines()] == made
@@ -316,8 +316,8 @@ def test_a_video_of_a_policy_holds_all_its_frames(wcsim, folder, corner):
     words = ("--seconds", "0.8", "--width", "80", "--policy", "follow", "--out", "film.webm")
     result = wcsim("video", corner, *words)
     assert result.code == 0 and "follow assists the user inattentive" in result.out
-    assert cv2.VideoCapture(str(folder / "film.webm")).get(cv2.CAP_PROP_FRAME_COUNT) == 8
+    assert len(frames_of("film.webm")) == 8
     later = wcsim("video", corner, *words, "--start", "0.5")
     assert later.code == 0 and "0.8 s after 0.5 s, follow" in later.out
-    assert cv2.VideoCapture(str(folder / "film.webm")).get(cv2.CAP_PROP_FRAME_COUNT) == 8
+    assert len(frames_of("film.webm")) == 8
     assert wcsim("video", corner, *words, "--start", "-1").code == 2

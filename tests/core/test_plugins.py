@@ -27,6 +27,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def refused(name: str, told: str) -> None:
+    with pytest.raises(PolicyError, match=told):
+        import_class(name, "network")
+
+
 def test_a_module_of_the_current_folder_finds_its_neighbours_also_later(folder):
     found = import_class("own_big_net:Bigger", "network")
     assert found.size == 3 and found().late() == "late"
@@ -40,17 +45,14 @@ def test_several_modules_of_the_current_folder_are_found(folder):
 
 
 def test_what_is_nowhere_is_said(folder):
-    with pytest.raises(PolicyError, match=r"was not found; expected own_missing\.py in"):
-        import_class("own_missing:Net", "network")
-    with pytest.raises(PolicyError, match=r"failed to import: .*own_neighbour_that_is_not_there"):
-        import_class("own_broken_net:Net", "network")
+    refused("own_missing:Net", r"was not found; expected own_missing\.py in")
+    refused("own_broken_net:Net", r"failed to import: .*own_neighbour_that_is_not_there")
 
 
 def test_what_is_installed_comes_before_the_current_folder(folder):
     (folder / "colorsys.py").write_text("class Net:\n    pass\n")
     import_class("own_base_net:Base", "network")
-    with pytest.raises(PolicyError, match="colorsys has no class 'Net'"):
-        import_class("colorsys:Net", "network")
+    refused("colorsys:Net", "colorsys has no class 'Net'")
 
 
 def test_the_sources_of_a_class_are_its_file_and_what_it_imports_beside_it(folder):
@@ -67,8 +69,7 @@ def test_the_sources_of_a_class_are_its_file_and_what_it_imports_beside_it(folde
 def test_a_folder_that_is_no_package_yet_is_named(folder, monkeypatch):
     (folder / "own_parts").mkdir()
     (folder / "own_parts" / "mine.py").write_text("class Net:\n    pass\n")
-    with pytest.raises(PolicyError, match=r"own_parts has no __init__\.py"):
-        import_class("own_parts.mine:Net", "network")
+    refused("own_parts.mine:Net", r"own_parts has no __init__\.py")
     (folder / "own_parts" / "__init__.py").touch()
     for name in ("own_parts", "own_parts.mine"):
         monkeypatch.delitem(sys.modules, name, raising=False)
@@ -76,8 +77,7 @@ def test_a_folder_that_is_no_package_yet_is_named(folder, monkeypatch):
         "own_parts/__init__.py",
         "own_parts/mine.py",
     }
-    with pytest.raises(PolicyError, match=r"expected own_parts/yours\.py in"):
-        import_class("own_parts.yours:Net", "network")
+    refused("own_parts.yours:Net", r"expected own_parts/yours\.py in")
 
 
 def test_what_ones_own_code_raises_becomes_one_line_that_says_where():

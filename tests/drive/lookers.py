@@ -2,6 +2,8 @@
 
 import json
 
+import numpy as np
+
 from wcsim.agents.policy_api import Observation
 from wcsim.drive import messages as m
 from wcsim.drive.driven import DriveRecord
@@ -32,16 +34,28 @@ class Noted:
         return [event.kind for event in self.events]
 
 
-class Breaks:
-    """Drives for five ticks, and then raises."""
+class Stands:
+    """Stands still; what it hears is kept."""
 
-    name, warning = "breaks", True
+    name = "stands"
 
-    def __init__(self, config: object) -> None:
-        self.asked = 0
+    def __init__(self, config: object = None) -> None:
+        self.heard: list[object] = []
 
     def begin(self) -> None:
         pass
+
+    def reset(self) -> None:
+        pass
+
+    def act(self, observation: Observation) -> int:
+        return 40
+
+
+class Breaks(Stands):
+    """Drives for five ticks, and then raises."""
+
+    warning, asked = True, 0
 
     def reset(self) -> None:
         self.asked = 0
@@ -50,68 +64,45 @@ class Breaks:
         self.asked += 1
         if self.asked > 5:
             raise ValueError("out of ideas")
-        return 40
+        return super().act(observation)
 
 
-class SeesNumbers(Breaks):
-    """Stands still, and keeps the sticks in the rows that it sees and overwrites, and those beside them."""
+class SeesNumbers(Stands):
+    """Keeps the sticks in the rows that it sees and overwrites, and those beside them."""
 
-    name, senses = "sees-numbers", ("state",)
-
-    def __init__(self, config: object) -> None:
-        self.sticks: list[tuple[float, ...]] = []
-
-    def reset(self) -> None:
-        pass
+    senses = ("state",)
 
     def act(self, observation: Observation) -> int:
-        self.sticks.append(tuple(observation["state"][0, 1:3].tolist()))
+        self.heard.append(tuple(observation["state"][0, 1:3].tolist()))
         observation["state"][:] = 0.0
-        self.sticks.append(tuple(observation["joystick"].tolist()))
-        return 40
+        self.heard.append(tuple(observation["joystick"].tolist()))
+        return super().act(observation)
 
 
-class BreaksAtOnce:
+class BreaksAtOnce(Stands):
     """Raises whenever it is asked, or whenever an episode begins."""
-
-    name = "breaks-at-once"
 
     def __init__(self, where: str) -> None:
         self._where = where
-
-    def begin(self) -> None:
-        pass
 
     def reset(self) -> None:
         self._at("reset")
 
     def act(self, observation: Observation) -> int:
         self._at("act")
-        return 40
+        return super().act(observation)
 
     def _at(self, where: str) -> None:
         if where == self._where:
             raise ValueError("out of ideas")
 
 
-class Remembers:
+class Remembers(Stands):
     """Holds the right half for unsafe, goes straight back, and notes what was sent instead."""
 
-    name, warning = "remembers", False
-    levels = (0.0, 2.0)
-
-    def __init__(self, count: int = 81) -> None:
-        import numpy as np
-
-        self.heard: list[int] = []
-        self.level = 1.0
-        self.unsafe = np.arange(count) >= 45
-
-    def begin(self) -> None:
-        pass
-
-    def reset(self) -> None:
-        pass
+    warning = False
+    levels, level = (0.0, 2.0), 1.0
+    unsafe = np.arange(81) >= 45
 
     def set_level(self, level: float) -> None:
         self.level = level
@@ -128,25 +119,14 @@ class Remembers:
         self.heard.append(action)
 
 
-class HearsDelays:
+class HearsDelays(Stands):
     """Notes each delay that it is told, and each episode."""
-
-    name = "hears delays"
-
-    def __init__(self, config: object) -> None:
-        self.heard: list[object] = []
-
-    def begin(self) -> None:
-        pass
 
     def reset(self) -> None:
         self.heard.append("reset")
 
     def set_delay(self, ticks: int) -> None:
         self.heard.append(ticks)
-
-    def act(self, observation: Observation) -> int:
-        return 40
 
 
 def as_said(say: str, **more: object) -> m.PageMessage:

@@ -32,7 +32,7 @@ def test_without_its_say_the_stick_is_sent_and_the_policy_hears_that(off: bool) 
 
 
 def test_a_policy_that_breaks_stops_the_chair_once_and_is_off() -> None:
-    assistance = Assistance(Breaks(None), ACTIONS)
+    assistance = Assistance(Breaks(), ACTIONS)
     said = [assistance.answer(AHEAD, {}, asked=True) for _ in range(8)]
     rest = ACTIONS.nearest((0.0, 0.0))
     assert [each.sent for each in said[5:]] == [rest, OWN, OWN]
@@ -102,7 +102,7 @@ def test_a_policy_may_break_anywhere_and_the_person_drives_on(where: str) -> Non
 
 
 def test_a_policy_that_is_tried_again_hears_the_delay_of_the_episode_of_now() -> None:
-    policy = HearsDelays(None)
+    policy = HearsDelays()
     assistance = Assistance(policy, ACTIONS)
     assistance.reset(Drawn(action_delay_ticks=1))
     assistance.failed = "broken"
@@ -146,7 +146,7 @@ def test_help_is_given_though_the_assistance_is_off_and_not_by_a_policy_that_bro
     assistance.ask_for_help()
     assert assistance.on and drive(assistance, 3) == [(2.0, 36), (2.0, 36), (1.0, OWN)]
     assert not assistance.on
-    broken = Assistance(Breaks(None), ACTIONS, help_ticks=50)
+    broken = Assistance(Breaks(), ACTIONS, help_ticks=50)
     broken.ask_for_help()
     drive(broken, 6)
     assert (broken.on, broken.help_left) == (False, 0)

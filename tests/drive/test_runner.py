@@ -88,20 +88,6 @@ def test_the_chair_faces_its_way_when_it_stands_in_its_street_and_the_terminal_h
     assert lines[0].endswith(", seed 4: ready to drive")
 
 
-@pytest.fixture
-def drive(corner: Path) -> Iterator[_DriveRunner]:
-    """A drive that is open, whose stick is pushed and counts."""
-    server, pipe = Pipe()
-    runner = _DriveRunner(pipe, DriveStart(town=str(corner), policy="dwa"), clock=lambda: 100.0)
-    runner._begin()
-    for stick in ((0.0, 0.0), (0.0, 1.0)):
-        runner._watch.hear(Joystick(*stick), False, 100.0)
-    yield runner
-    runner.close()
-    server.close()
-    pipe.close()
-
-
 def test_an_episode_that_ends_asks_for_a_stick_at_rest(drive: _DriveRunner, monkeypatch: pytest.MonkeyPatch) -> None:
     drive._tick(100.0)
     assert not drive._watch.must_rest
@@ -127,7 +113,7 @@ def test_a_press_while_a_crash_is_shown_does_not_overrule_in_the_next_episode(
 
 def test_a_policy_that_breaks_stops_time_once(drive: _DriveRunner) -> None:
     assert drive.session is not None
-    drive.session.assistance._agent.policy = Breaks(None)
+    drive.session.assistance._agent.policy = Breaks()
     events = Noted()
     drive.session.add_observer(events)
     for _ in range(6):
@@ -201,6 +187,14 @@ def desk(corner: Path) -> Iterator[Desk]:
     found = Desk(corner)
     yield found
     found.runner.close()
+
+
+@pytest.fixture
+def drive(desk: Desk) -> _DriveRunner:
+    """A drive that is open, whose stick is pushed and counts."""
+    for stick in ((0.0, 0.0), (0.0, 1.0)):
+        desk.runner._watch.hear(Joystick(*stick), False, 100.0)
+    return desk.runner
 
 
 def test_who_comes_back_while_time_is_paused_is_not_told_that_nobody_is_there(desk: Desk) -> None:

@@ -191,7 +191,7 @@ def test_a_policy_that_sees_numbers_sees_the_stick_of_the_person(corner: Path) -
         for wish in (Joystick(0.5, 0.5), Joystick(-0.25, 0.75)):
             drive.tick(Wish(stick=wish))
         policy = drive.place.policy
-    assert isinstance(policy, SeesNumbers) and policy.sticks == [*2 * [(0.5, 0.5)], *2 * [(-0.25, 0.75)]]
+    assert isinstance(policy, SeesNumbers) and policy.heard == [*2 * [(0.5, 0.5)], *2 * [(-0.25, 0.75)]]
 
 
 def test_closing_twice_closes_observers_once(session: DriveSession, noted: Noted) -> None:

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.support.framing import write_log
 from wcsim import __version__
 from wcsim.config import resolve
 from wcsim.log.records import DriveHeader, DriveTick, Header, Note, with_fields
-from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
 
 TICK_S = 0.1
@@ -57,9 +57,4 @@ def tick(number: int, **changes: object) -> DriveTick:
 
 def write_drive(path: Path, ticks: list[DriveTick], events: tuple[Note, ...] = (), **header: object) -> Path:
     """A drive on disk."""
-    with LogWriter(path, drive_header(**header)) as recorder:
-        for event in events:
-            recorder.append(event)
-        for item in ticks:
-            recorder.append(item)
-    return path
+    return write_log(path, drive_header(**header), (*events, *ticks))

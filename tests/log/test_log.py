@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.framing import chained, last_crc, read_whole
+from tests.support.framing import chained, last_crc, read_whole, write_log
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
 from wcsim.log.diff import find_log_difference
 from wcsim.log.framing import frame_payload
@@ -67,16 +67,8 @@ RECORDS: tuple[Input, ...] = (
 )
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "j"
-
-
 def write(path: Path, records=RECORDS, header=HEADER) -> str:
-    with LogWriter(path, header) as writer:
-        for record in records:
-            writer.append(record)
-    return hash_log(path)
+    return hash_log(write_log(path, header, records))
 
 
 def test_commands_come_back_to_the_last_bit(path):
@@ -126,8 +118,8 @@ def test_the_digest_is_that_of_what_happened_and_of_nothing_else(tmp_path):
     assert len({digest, *others}) == 1 + len(others)
 
 
-def test_a_journal_is_gone_on_with_where_it_was_torn(tmp_path):
-    path, whole = tmp_path / "j", tmp_path / "whole"
+def test_a_journal_is_gone_on_with_where_it_was_torn(tmp_path, path):
+    whole = tmp_path / "whole"
     digest = write(whole)
     for cut in (1, 7, 20):
         path.write_bytes(whole.read_bytes()[:-cut])

@@ -1,6 +1,7 @@
 """The end of a journal: what is torn there is cut off and kept, what is damaged is refused."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,13 @@ from wcsim.log.reader import hash_log, is_log_file, iter_journal_inputs, read_he
 from wcsim.log.writer import LogWriter
 
 
-def test_what_is_cut_off_is_said_and_kept(tmp_path):
-    path = tmp_path / "j"
+def refuse(path: Path, *uses: Callable[[Path], object], told: str = "damaged") -> None:
+    for use in uses:
+        with pytest.raises(JournalError, match=told):
+            use(path)
+
+
+def test_what_is_cut_off_is_said_and_kept(tmp_path, path):
     write(path)
     whole = path.read_bytes()
     for number in (1, 2):
@@ -28,8 +34,7 @@ def test_what_is_cut_off_is_said_and_kept(tmp_path):
     assert not (tmp_path / "j.torn-3").exists()
 
 
-def test_what_is_damaged_before_its_end_is_not_cut_off(tmp_path):
-    path = tmp_path / "j"
+def test_what_is_damaged_before_its_end_is_not_cut_off(path):
     write(path)
     data = bytearray(path.read_bytes())
     data[record_ends(path)[3] + 12] ^= 1
@@ -37,15 +42,12 @@ def test_what_is_damaged_before_its_end_is_not_cut_off(tmp_path):
     seen = []
     with pytest.raises(JournalError, match=r"is damaged at byte"):
         seen.extend(iter_journal_inputs(path))
-    for use in (read_whole, hash_log, LogWriter.append_to):
-        with pytest.raises(JournalError, match=r"is damaged at byte"):
-            use(path)
+    refuse(path, read_whole, hash_log, LogWriter.append_to, told="is damaged at byte")
     assert path.read_bytes() == data
 
 
-def test_a_damaged_length_cuts_nothing_off(tmp_path):
+def test_a_damaged_length_cuts_nothing_off(path):
     """A length that reaches beyond the end looks like a record that was torn."""
-    path = tmp_path / "j"
     records = [tick(number) for number in range(1, 260)]
     write(path, records)
     whole, ends = path.read_bytes(), record_ends(path)
@@ -55,21 +57,17 @@ def test_a_damaged_length_cuts_nothing_off(tmp_path):
             data = bytearray(whole)
             data[ends[-back - 1] + bit // 8] ^= 1 << bit % 8
             path.write_bytes(data)
-            with pytest.raises(JournalError, match="damaged"):
-                LogWriter.append_to(path)
+            refuse(path, LogWriter.append_to)
             assert path.read_bytes() == data
 
 
-def test_records_cannot_be_doubled_moved_or_left_out(tmp_path):
-    path = tmp_path / "j"
+def test_records_cannot_be_doubled_moved_or_left_out(path):
     write(path)
     head, *rest = pieces(path)
     swapped = [*rest[:3], rest[4], rest[3], *rest[5:]]
     for other in ([*rest, rest[-1]], swapped, [*rest[:3], *rest[4:]], [rest[1], *rest]):
         path.write_bytes(b"".join([head, *other]))
-        for use in (read_whole, LogWriter.append_to):
-            with pytest.raises(JournalError, match="damaged"):
-                use(path)
+        refuse(path, read_whole, LogWriter.append_to)
 
 
 @pytest.mark.parametrize(
@@ -80,22 +78,18 @@ def test_records_cannot_be_doubled_moved_or_left_out(tmp_path):
         b'{"magic": "wcsim-drive-1", "wcsim": "0.1.0"}',
     ],
 )
-def test_a_file_of_an_older_format_gets_one_refusal(tmp_path, first):
-    path = tmp_path / "j"
+def test_a_file_of_an_older_format_gets_one_refusal(path, first):
     path.write_bytes(chained([first, b"more"]))
-    for use in (read_whole, read_header, hash_log, LogWriter.append_to, read_trace_states, read_drive):
-        with pytest.raises(JournalError, match=r"j: is of format 'wcsim-\w+(-1)?'; expected 'wcsim-log-1': use the"):
-            use(path)
+    uses = (read_whole, read_header, hash_log, LogWriter.append_to, read_trace_states, read_drive)
+    refuse(path, *uses, told=r"j: is of format 'wcsim-\w+(-1)?'; expected 'wcsim-log-1': use the")
     assert is_log_file(path)
 
 
-def test_a_long_run_of_zeros_is_no_place_to_cut_at(tmp_path):
-    path = tmp_path / "j"
+def test_a_long_run_of_zeros_is_no_place_to_cut_at(tmp_path, path):
     write(path)
     whole = path.read_bytes()
     path.write_bytes(whole + bytes(1 << 17) + b"more")
-    with pytest.raises(JournalError, match="damaged"):
-        LogWriter.append_to(path)
+    refuse(path, LogWriter.append_to)
     path.write_bytes(whole + bytes(1 << 17))
     with LogWriter.append_to(path) as writer:
         assert writer.cut_bytes == 1 << 17
@@ -105,5 +99,4 @@ def test_a_long_run_of_zeros_is_no_place_to_cut_at(tmp_path):
 def test_what_is_no_regular_file_is_not_read(tmp_path):
     os.mkfifo(tmp_path / "j")
     for path in (tmp_path / "j", tmp_path, Path("/dev/zero")):
-        with pytest.raises(JournalError, match=r"not a regular file|cannot be read"):
-            read_whole(path)
+        refuse(path, read_whole, told="not a regular file|cannot be read")

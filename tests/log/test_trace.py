@@ -4,12 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.framing import chained, payloads_of
+from tests.support.framing import chained, payloads_of, write_log
 from wcsim.errors import WcsimError
 from wcsim.log.diff import find_golden_difference
 from wcsim.log.reader import read_trace_states
 from wcsim.log.records import Header, WorldState, with_fields
-from wcsim.log.writer import LogWriter
 
 HEADER = Header(town="t", seed=1, tick_s=0.1, seats=2, fingerprint="a")
 
@@ -27,10 +26,19 @@ def record(tick: int, shift: float = 0.0, actors: tuple[str, ...] = ("v:a", "p:b
     )
 
 
-def write(path, records, header=HEADER):
-    with LogWriter(path, header) as writer:
-        for item in records:
-            writer.append(item)
+def write(path, records):
+    return write_log(path, HEADER, records)
+
+
+@pytest.fixture
+def difference(tmp_path_factory):
+    """What tells a trace of records from a golden one."""
+
+    def told(golden, records, header=HEADER) -> str:
+        folder = tmp_path_factory.mktemp("traces")
+        return find_golden_difference(write_log(folder / "a", header, records), write(folder / "golden", golden))
+
+    return told
 
 
 def test_a_tick_of_a_great_city_is_read_and_names_with_any_blank(tmp_path):
@@ -96,41 +104,30 @@ def test_a_name_that_no_xml_can_hold_is_refused(tmp_path, name):
         read_trace_states(tmp_path / "a")
 
 
-def test_difference_is_exact_within_a_version_and_tolerant_across(tmp_path):
-    write(tmp_path / "a", [record(1), record(2)])
-    write(tmp_path / "same", [record(1), record(2)])
-    write(tmp_path / "near", [record(1), record(2, shift=1e-5)])
-    assert find_golden_difference(tmp_path / "same", tmp_path / "a") == ""
-    assert "tick 2" in find_golden_difference(tmp_path / "near", tmp_path / "a")
-    other = Header(town="t", seed=1, tick_s=0.1, seats=2, fingerprint="b")
-    write(tmp_path / "far", [record(1), record(2, shift=0.1)], other)
-    (tmp_path / "near").unlink()
-    write(tmp_path / "near", [record(1), record(2, shift=1e-5)], other)
-    assert find_golden_difference(tmp_path / "near", tmp_path / "a") == ""
-    assert "chair" in find_golden_difference(tmp_path / "far", tmp_path / "a")
+def test_difference_is_exact_within_a_version_and_tolerant_across(difference):
+    golden, near = [record(1), record(2)], [record(1), record(2, shift=1e-5)]
+    assert difference(golden, golden) == ""
+    assert "tick 2" in difference(golden, near)
+    other = with_fields(HEADER, fingerprint="b")
+    assert difference(golden, near, other) == ""
+    assert "chair" in difference(golden, [record(1), record(2, shift=0.1)], other)
 
 
-def test_difference_tells_how_far_two_traces_go(tmp_path):
-    write(tmp_path / "a", [record(10), record(20)])
-    write(tmp_path / "short", [record(10)])
-    write(tmp_path / "longer", [record(10), record(22)])
-    write(tmp_path / "none", [])
-    told = find_golden_difference(tmp_path / "short", tmp_path / "a")
+def test_difference_tells_how_far_two_traces_go(difference):
+    golden = [record(10), record(20)]
+    told = difference(golden, golden[:1])
     assert told == "its records are 1, up to tick 10, those of the golden trace 2, up to tick 20"
-    assert "up to tick 22, those" in find_golden_difference(tmp_path / "longer", tmp_path / "a")
-    assert "its records are none, those" in find_golden_difference(tmp_path / "none", tmp_path / "a")
+    assert "up to tick 22, those" in difference(golden, [record(10), record(22)])
+    assert "its records are none, those" in difference(golden, [])
 
 
 @pytest.mark.parametrize("chairs", [1, 3])
 @pytest.mark.parametrize("fingerprint", ["a", "b"])
-def test_difference_tells_another_number_of_chairs(tmp_path, chairs, fingerprint):
+def test_difference_tells_another_number_of_chairs(difference, chairs, fingerprint):
     """One chair against two would be compared with each of them, three against two with nothing."""
     of_two = record(1)
     plants = np.repeat(of_two.plants[:1], chairs, axis=0)
-    write(tmp_path / "a", [with_fields(of_two, plants=plants[[0, 0]])])
     other = with_fields(of_two, plants=plants, commands=np.zeros((chairs, 2)), state_hash="0")
-    write(tmp_path / "other", [other], with_fields(HEADER, seats=chairs, fingerprint=fingerprint))
-    assert (
-        find_golden_difference(tmp_path / "other", tmp_path / "a")
-        == f"tick 1: the number of chairs is {chairs}, golden 2"
-    )
+    header = with_fields(HEADER, seats=chairs, fingerprint=fingerprint)
+    told = difference([with_fields(of_two, plants=plants[[0, 0]])], [other], header)
+    assert told == f"tick 1: the number of chairs is {chairs}, golden 2"

@@ -6,6 +6,7 @@ import pytest
 
 from tests.scenes.pinned import pinned_scenes
 from tests.scenes.planted import PLANTED, plant
+from tests.support.framing import write_log
 from wcsim.cli.scene import find_unmet_expectations
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneExpectations, SceneFile
@@ -13,7 +14,6 @@ from wcsim.log.diff import explain_hash_mismatch, find_golden_difference
 from wcsim.log.fingerprint import PACKAGES
 from wcsim.log.reader import read_trace_states
 from wcsim.log.records import with_fields
-from wcsim.log.writer import LogWriter
 from wcsim.scenes.run import TRACE_EVERY, run_in_child
 from wcsim.towns.scene_folders.build import GOLDEN, find_scene, list_scenes
 
@@ -91,8 +91,6 @@ def test_one_changed_number_is_found(tmp_path):
     plants = ticks[5].plants.copy()
     plants[0, 0] += 1e-9
     other = with_fields(ticks[5], plants=plants, state_hash="0")
-    with LogWriter(tmp_path / "a", header) as writer:
-        for tick in (*ticks[:5], other, *ticks[6:]):
-            writer.append(tick)
-    assert f"tick {ticks[5].tick}" in find_golden_difference(tmp_path / "a", golden)
+    changed = write_log(tmp_path / "a", header, (*ticks[:5], other, *ticks[6:]))
+    assert f"tick {ticks[5].tick}" in find_golden_difference(changed, golden)
     assert ticks[5].tick == 6 * TRACE_EVERY

@@ -11,21 +11,18 @@ from itertools import count
 
 import numpy as np
 
+from tests.server.model.shadow import stick_of
 from tests.server.sim_world import SimWorld, Wrong
 from wcsim.core import seeding
 from wcsim.errors import WcsimError, WorldRestartedError
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, ClientPhase, JoinSettings, Outcome, Patience, ReceivedFrame
 from wcsim.server.protocol.events import (
-    AdmitSeatEffect,
     ClientLostEvent,
-    DismissSeatEffect,
     Effect,
     Event,
     MessageReceivedEvent,
     Peer,
-    RebuildWorldEffect,
-    RespawnSeatsEffect,
     SendMessageEffect,
     SendSensorFrameEffect,
     ServerRules,
@@ -157,16 +154,10 @@ class Simulation:
             case SendSensorFrameEffect():
                 chair = self.world.show(effect.seat, effect.epoch, effect.tick, effect.life)
                 self._post(effect.peer, m.Frame(effect.epoch, effect.tick, effect.life, None, chair))
-            case AdmitSeatEffect():
-                self.world.admit(effect.seat, effect.name)
-            case DismissSeatEffect():
-                self.world.dismiss(effect.seat)
-            case RespawnSeatsEffect():
-                self.world.respawn(effect.seats)
-            case RebuildWorldEffect():
-                self.world.rebuild(effect.epoch)
             case StepWorldEffect():
                 raise Wrong("a step among other effects")
+            case _:
+                self.world.change(effect)
 
     def _post(self, peer: Peer, message: m.Reply) -> None:
         process = self.processes.get(peer)
@@ -228,7 +219,7 @@ class Simulation:
         if self._unit() < 0.05:
             self._do(process, core.respawn(self.now_s))
             return
-        stick = Joystick(process.number / 8, self.world.stick(core.epoch, core.tick))
+        stick = Joystick(process.number / 8, stick_of(core.epoch, core.tick))
         self._do(process, core.act(core.tick, stick, self.now_s))
 
     def _on_join(self, process: Process) -> None:

@@ -174,13 +174,18 @@ def together(links: Sequence[ProcessSeatLink], do: Callable[[ProcessSeatLink], C
         return list(pool.map(do, links))
 
 
-@contextmanager
-def stub_client(join: SeatRequest, folder: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A client process that drives on and on."""
+def start_client(join: SeatRequest, folder: Path, *options: str) -> subprocess.Popen[bytes]:
+    """A client without a learner, in a process of its own, with a list of what it saw when: it drives on and on."""
     order, sights = folder / f"{join.name}.json", folder / f"{join.name}.sights"
     order.write_bytes(encode_json_line(join))
     command = [sys.executable, "-m", "benchmarks.soak.stub_client", str(order), "--sights", str(sights), *options]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    return subprocess.Popen(command, stdin=subprocess.DEVNULL)
+
+
+@contextmanager
+def stub_client(join: SeatRequest, folder: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
+    """The same for the length of the block."""
+    process = start_client(join, folder, *options)
     try:
         yield process
     finally:

@@ -2,8 +2,8 @@
 
 import zlib
 
-from tests.server.model.shadow import Shadow, stick_of
-from wcsim.server.protocol.events import StepWorldEffect
+from tests.server.model.shadow import Shadow
+from wcsim.server.protocol.events import Effect, StepWorldEffect
 
 
 class Wrong(Exception):
@@ -29,10 +29,6 @@ class SimWorld:
         """The tick of now."""
         return self._shadow.tick
 
-    def stick(self, epoch: int, tick: int) -> float:
-        """What every client says at this tick."""
-        return stick_of(epoch, tick)
-
     def step(self, step: StepWorldEffect) -> None:
         """One tick. Raises Violation unless every chair has its own client's action of exactly this tick."""
         sticks = {chair.owner: int(chair.owner[1:]) / 8 for chair in self._shadow.chairs}
@@ -49,21 +45,9 @@ class SimWorld:
             raise Wrong(f"a frame of {(epoch, tick, life)} for seat {seat}: {chair} at {(self.epoch, self.tick)}")
         return chair.number
 
-    def admit(self, seat: int, owner: str) -> None:
-        """A chair comes."""
-        self._shadow = self._shadow.admit(seat, owner)
-
-    def dismiss(self, seat: int) -> None:
-        """A chair goes."""
-        self._shadow = self._shadow.dismiss(seat)
-
-    def respawn(self, seats: tuple[int, ...]) -> None:
-        """Next episodes."""
-        self._shadow = self._shadow.respawn(seats)
-
-    def rebuild(self, epoch: int) -> None:
-        """A new epoch with these chairs."""
-        self._shadow = self._shadow.rebuild(epoch)
+    def change(self, effect: Effect) -> None:
+        """A chair comes or goes, next episodes, or a new epoch with the chairs of now."""
+        self._shadow = self._shadow.after(effect)
 
     def begin_again(self) -> None:
         """A new epoch after the world's death: nobody is in."""

@@ -67,8 +67,9 @@ def test_a_wall_is_seen_in_time_to_brake_and_not_much_sooner(speed):
     assert gap_m < speed * 0.5 + speed**2 / 3.0 + speed * 0.19 + 0.25
 
 
-def told_of_edges(grid: StreetGrid, edge_m: float) -> StreetGrid:
+def told_of_edges(edge_m: float) -> StreetGrid:
     """The strip with its northern kerb told of, and moved to `edge_m`, between two middles of cells."""
+    grid = STREET.grid
     rows, cols = grid.height_cm.shape
     y_m = grid.origin_W_m[1] + grid.cell_m * (np.arange(rows) + 0.5)
     far_cm = np.floor(np.clip(100.0 * np.abs(y_m - edge_m), 0.0, 80.0))
@@ -80,7 +81,7 @@ def test_an_edge_is_known_to_two_centimetres_where_a_kerb_cuts_a_cell():
     """From how far, in centimetres, a chair may back towards a kerb, wherever that lies between middles of cells."""
     firsts = []
     for edge_m in (3.96, 4.0, 4.04):
-        grid = told_of_edges(STREET.grid, edge_m)
+        grid = told_of_edges(edge_m)
         oracle = oracle_of(grid)
         found = [oracle.danger(plant(20.0, edge_m + 0.01 * cm, UP), BACKWARDS, ()) for cm in range(10, 80)]
         firsts.append(found.index(False))
@@ -91,7 +92,7 @@ def test_an_edge_is_known_to_two_centimetres_where_a_kerb_cuts_a_cell():
 def test_casters_swing_outwards_in_a_turn():
     """Turned on the spot before an edge, a trailing caster leaves its place behind the swivel, and the pavement."""
     edge_m = 4.0  # the pavement is north of it
-    grid = told_of_edges(STREET.grid, edge_m)
+    grid = told_of_edges(edge_m)
     fixed = USUAL_WHEELS_M * (1.0, 1.0, 0.0)
     least_m = []
     for wheels in (USUAL_WHEELS_M, fixed):

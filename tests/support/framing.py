@@ -8,6 +8,7 @@ from pathlib import Path
 from wcsim.log.framing import crc_from_record, frame_payload, iter_whole_records
 from wcsim.log.reader import LogScan, list_log_parts
 from wcsim.log.records import Header, LogRecord
+from wcsim.log.writer import LogWriter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +25,14 @@ def read_whole(path: Path) -> WholeLog:
     scans = [LogScan(part) for part in list_log_parts(path) or (path,)]
     records = tuple(record for scan in scans for record in scan.records())
     return WholeLog(header=scans[0].header, records=records, torn=scans[-1].truncated_bytes > 0)
+
+
+def write_log(path: Path, header: Header, records: Iterable[LogRecord]) -> Path:
+    """A log of these records, as its writer makes it."""
+    with LogWriter(path, header) as writer:
+        for record in records:
+            writer.append(record)
+    return path
 
 
 def chained(payloads: Iterable[bytes], after: int = 0) -> bytes:

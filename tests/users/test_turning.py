@@ -19,11 +19,11 @@ def plan(y, yaw, error, grid=STREET.grid, x=15.0, backwards=True):
     return plan_turn(grid, USUAL_OUTLINE, AxlePose(x_m=x, y_m=y, yaw_rad=yaw), error, backwards)
 
 
-def walled(low_y: float, high_y: float, to_x: float = 1e9) -> StreetGrid:
+def walled(high_y: float, to_x: float = 1e9) -> StreetGrid:
     """The street with walls along both sides of a strip, which opens at to_x."""
     grid = STREET.grid
     x, y = cell_middles(grid)
-    gap_m = np.where(x < to_x, np.minimum(y - low_y, high_y - y), 5.0)
+    gap_m = np.where(x < to_x, np.minimum(y - 4.9, high_y - y), 5.0)
     return replace(grid, clearance_dm=np.clip(gap_m * 10, 0, 255).astype(np.uint8))
 
 
@@ -40,11 +40,11 @@ def test_beside_a_kerb_the_front_swings_over_the_pavement():
 
 
 def test_in_a_passage_the_chair_goes_on_or_back_to_where_it_opens():
-    closed = walled(4.9, 6.1, to_x=16.0)
+    closed = walled(6.1, to_x=16.0)
     assert plan(5.5, 0.0, 3.0, closed).move_m > 0.5
     assert plan(5.5, math.pi, 3.0, closed, x=15.2).move_m < -0.5
     assert plan(5.5, math.pi, 3.0, closed, x=15.2, backwards=False).move_m >= 0.0
-    nowhere = plan(5.5, 0.0, 3.0, walled(4.9, 6.1))
+    nowhere = plan(5.5, 0.0, 3.0, walled(6.1))
     assert abs(nowhere.turn_rad) <= 3.0
 
 
@@ -108,7 +108,7 @@ def test_turning_in_a_hairpin_never_leads_back_to_its_first_leg():
 
 
 def test_a_chair_turned_one_way_as_far_as_it_goes_never_turns_back():
-    corner = walled(4.9, 6.2)
+    corner = walled(6.2)
     first = plan(5.5, 0.0, 2.0, corner)
     assert not first.complete
     stuck = AxlePose(x_m=15.0, y_m=5.5, yaw_rad=first.turn_rad)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tests.physics.renderer.render_oracle import actor
+from tests.support.films import frames_of
 from tests.support.one_process import files_of_at_most
 from tests.support.plants import plant_state
 from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
@@ -66,14 +67,7 @@ def test_a_video_plays_back_what_was_written(tmp_path):
             write(np.full((48, 65, 3), (level, 0, 0), np.uint8))
         assert not path.exists()
     assert path.read_bytes()[:4] == b"\x1aE\xdf\xa3"  # EBML, the start of every WebM file
-    capture = cv2.VideoCapture(str(path))
-    levels = []
-    while True:
-        ok, frame = capture.read()
-        if not ok:
-            break
-        levels.append(float(frame[..., 2].mean()))
-    capture.release()
+    levels = [float(frame[..., 2].mean()) for frame in frames_of(path)]
     assert len(levels) == 20 and levels[-1] - levels[0] > 150
     assert [item.name for item in tmp_path.iterdir()] == ["a.webm"]
 

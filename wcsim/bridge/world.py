@@ -432,9 +432,11 @@ class World(ClosingContextBase):
 
     def _look_around(self, seats: Sequence[Ego]) -> None:
         """The users of these seats see what is around now: those whom they could notice."""
+        if not seats:
+            return
         actors, places_W_m = self._open.traffic.actors, self._places()
         everyone = (*actors, *(seat.as_actor() for seat in self.seats))
-        at_W_m = np.array([actor.p_W_m[:2] for actor in everyone]).reshape(-1, 2)
+        at_W_m = np.concatenate([actor.p_W_m for actor in everyone]).reshape(-1, 3)[:, :2]
         long_m = np.array([actor.size_lwh_m[0] for actor in everyone])
         for number, seat in enumerate(self.seats):
             if seat not in seats:

@@ -60,12 +60,17 @@ def write_segment(path: Path, segment: DrivingSegment) -> str:
     return files.sha256_from_file(path)
 
 
-def lectures(config: RunConfig, rows: int = 64, seed: int = 0) -> Dataset:
-    """Data of such a drive."""
+def lessons_of(config: RunConfig, segment: DrivingSegment, seed: int = 0) -> Dataset:
+    """Data of a drive, to draw from."""
     found = Dataset(config)
-    found.add(a_segment(rows, seed, cameras=len(config.eyes)))
+    found.add(segment)
     found.begin(np.random.default_rng(seed))
     return found
+
+
+def lectures(config: RunConfig, rows: int = 64, seed: int = 0) -> Dataset:
+    """Data of a drive through noise."""
+    return lessons_of(config, a_segment(rows, seed, cameras=len(config.eyes)), seed)
 
 
 def all_of(lessons: Dataset) -> np.ndarray:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.nn import functional
 
-from tests.agents.danger.sights import a_segment, small_config
+from tests.agents.danger.sights import a_segment, lessons_of, small_config
 from tests.agents.danger.toy_rides import ACTIONS, astray, follow, ride, segment_of, toy_config
 from wcsim.agents.danger import dataset as dataset_module
 from wcsim.agents.danger.dataset import UNKNOWN, Dataset, _happened
@@ -95,17 +95,14 @@ def test_what_the_oracle_drove_and_data_without_labels_are_refused():
         Dataset(small_config(*WORDS)).add(replace(segment, driver=np.full(20, ORACLE, np.uint8)))
     with pytest.raises(PolicyError, match=r"labels for 0 actions; expected 81.*danger\.teacher"):
         Dataset(small_config()).add(segment)
-    lessons = Dataset(small_config(*WORDS))
-    lessons.add(driven([AHEAD_STICK] * 5))
+    lessons = lessons_of(small_config(*WORDS), driven([AHEAD_STICK] * 5))
     with pytest.raises(PolicyError, match="nothing is known of 5 steps"):
         lessons.draw()
 
 
 def test_what_is_not_known_is_neither_drawn_nor_learned(monkeypatch):
-    lessons, seen = Dataset(small_config(*WORDS)), []
-    lessons.add(driven([AHEAD_STICK] * 20, crashed=True))
+    lessons, seen = lessons_of(small_config(*WORDS), driven([AHEAD_STICK] * 20, crashed=True)), []
     assert lessons.tight_share == pytest.approx(7 / 20)
-    lessons.begin(np.random.default_rng(0))
     loss = functional.binary_cross_entropy_with_logits
 
     def noted(logits, wanted):
@@ -171,10 +168,8 @@ def test_a_planted_fault_in_labels_is_found_out(fault, rides, monkeypatch):
 def test_a_network_that_learned_from_crashes_alone_crashes_less_than_the_user():
     """16 crashes in 1,000 steps; the user alone 32."""
     config = toy_config(*TOY)
-    lessons, learner = Dataset(config), DangerLearner(config, 0, 600)
-    lessons.add(segment_of(ride(config, astray(), 120, seed=1).rows))
-    lessons.begin(np.random.default_rng(0))
-    learner.learn(lessons, 600)
+    learner = DangerLearner(config, 0, 600)
+    learner.learn(lessons_of(config, segment_of(ride(config, astray(), 120, seed=1).rows)), 600)
     mine = ride(config, DangerPolicy("toy", learner.net, config, DangerRuleSettings(threshold=0.25)), 20, seed=99)
     alone = ride(config, follow, 20, seed=99)
     assert mine.crashes / mine.steps <= 0.7 * alone.crashes / alone.steps, (mine.crashes, mine.steps)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.agents.danger.sights import HEIGHT_PX, TWO, a_segment, all_of, lectures, small_config
+from tests.agents.danger.sights import HEIGHT_PX, TWO, a_segment, all_of, lectures, lessons_of, small_config
 from tests.support.samples import ACTIONS
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.street_map import MIRRORED, SIDE, FeatureExtractor
@@ -38,8 +38,7 @@ def flipped(swept: torch.Tensor) -> torch.Tensor:
 
 
 def unsafe_of(segment, *words):
-    lessons = Dataset(small_config(*words))
-    lessons.add(segment)
+    lessons = lessons_of(small_config(*words), segment)
     return lessons.batch(all_of(lessons)).unsafe.numpy()
 
 
@@ -62,8 +61,7 @@ def test_the_teacher_is_the_one_that_was_asked_for():
 
 def test_lessons_hold_the_street_as_a_chair_of_several_cameras_sees_it():
     config, segment = small_config(TWO), a_segment(5, ends=(), cameras=2)
-    eye, lessons = FeatureExtractor(config, 1), Dataset(config)
-    lessons.add(segment)
+    eye, lessons = FeatureExtractor(config, 1), lessons_of(config, segment)
     front, rear = slice(HEIGHT_PX), slice(HEIGHT_PX, None)
     streets = lessons.batch(all_of(lessons)).inputs[0].numpy()
     for row in range(5):

@@ -6,12 +6,13 @@ A precision as of chance is 0.165, the share that is told from its mirror image 
 """
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pytest
 import torch
 
-from tests.agents.danger.sights import Silent, all_of
+from tests.agents.danger.sights import Silent, all_of, lessons_of
 from tests.agents.danger.toy_rides import ACTIONS, follow, mixed, ride, segment_of, slides, toy_config
 from wcsim.agents.danger import dataset as dataset_module
 from wcsim.agents.danger.dataset import Dataset
@@ -66,13 +67,10 @@ def judged(logits, unsafe):
 def learned(part, seed, streets):
     """What this part alone knows after its updates."""
     config, (shown, held) = toy_config(*ALONE[part]), streets
-    lectures, asked = Dataset(config), Dataset(config)
-    lectures.add(shown)
-    asked.add(held)
-    lectures.begin(np.random.default_rng(seed))
+    asked = lessons_of(config, held)
     learner = DangerLearner(config, seed, UPDATES[part])
     setattr(learner.net, OTHER[part], Silent())
-    learner.learn(lectures, UPDATES[part])
+    learner.learn(lessons_of(config, shown, seed), UPDATES[part])
     with torch.inference_mode():
         parts = [learner.net(*asked.batch(rows).inputs).numpy() for rows in np.array_split(all_of(asked), 4)]
     return judged(np.concatenate(parts), held.visible != SAFE)
@@ -82,16 +80,17 @@ def has_learned(known):
     return known.precision > BAR.precision and known.sides > BAR.sides and known.bits > BAR.bits
 
 
-@pytest.mark.parametrize("part", ["roll_out", pytest.param("context", marks=pytest.mark.proof)])
-def test_each_part_alone_learns_what_ends_badly(part, streets):
-    known = learned(part, 0, streets)
-    assert has_learned(known), known
-
-
-@pytest.mark.proof
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("part", sorted(ALONE))
-def test_each_part_learns_with_other_seeds(part, seed, streets):
+@pytest.mark.parametrize(
+    "part, seed",
+    [
+        ("roll_out", 0),
+        *(
+            pytest.param(part, seed, marks=pytest.mark.proof)
+            for part, seed in (("context", 0), *product(sorted(ALONE), (1, 2)))
+        ),
+    ],
+)
+def test_each_part_alone_learns_what_ends_badly(part, seed, streets):
     known = learned(part, seed, streets)
     assert has_learned(known), known
 
@@ -175,10 +174,8 @@ def rides():
 def driven(seed, rides):
     """20 rides of a network that has learned, in the streets of the user alone."""
     config = toy_config(*RIDE)
-    lectures, learner = Dataset(config), DangerLearner(config, seed, RIDE_UPDATES)
-    lectures.add(segment_of(rides[0].rows))
-    lectures.begin(np.random.default_rng(seed))
-    learner.learn(lectures, RIDE_UPDATES)
+    learner = DangerLearner(config, seed, RIDE_UPDATES)
+    learner.learn(lessons_of(config, segment_of(rides[0].rows), seed), RIDE_UPDATES)
     return ride(config, DangerPolicy("toy", learner.net, config, DangerRuleSettings(threshold=0.15)), 20, seed=99)
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.agents.danger.sights import a_segment, all_of, lectures, small_config
-from wcsim.agents.danger.dataset import Dataset
+from tests.agents.danger.sights import a_segment, all_of, lectures, lessons_of, small_config
 from wcsim.agents.danger.learner import DangerLearner, _rate_share
 from wcsim.errors import PolicyError
 
@@ -13,10 +12,8 @@ from wcsim.errors import PolicyError
 def test_32_steps_are_learned_by_heart():
     fast = ("danger.batch=16", "danger.learning_rate=0.004")
     config = small_config(*fast, "danger.weight_decay=0", "danger.ahead=0")
-    lessons, learner = Dataset(config), DangerLearner(config, 1, 60)
     # A street map of noise tells nothing of a step once it has seen others.
-    lessons.add(a_segment(32, ends=tuple(range(32))))
-    lessons.begin(np.random.default_rng(0))
+    lessons, learner = lessons_of(config, a_segment(32, ends=tuple(range(32)))), DangerLearner(config, 1, 60)
     before = float(learner.learn(lessons, 1))
     learner.learn(lessons, 59)
     batch = lessons.batch(all_of(lessons))

@@ -6,8 +6,6 @@ from tests.agents.danger.sights import Silent, all_of, lectures, small_config
 from tests.support.samples import ACTIONS
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 
-POINTS = torch.as_tensor(ACTIONS.points)
-
 
 def net_of(config) -> DangerNet:
     torch.manual_seed(0)

@@ -1,7 +1,10 @@
 """Danger networks on disk."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,10 +48,18 @@ def test_a_network_comes_back_as_it_was_saved(folder: Path, words: tuple[str, ..
     assert torch.equal(again(*batch.inputs), net(*batch.inputs))
 
 
+@contextmanager
+def description(folder: Path) -> Iterator[dict[str, Any]]:
+    """What the description of a network says, to be changed."""
+    path = folder / POLICY_JSON
+    told = json.loads(path.read_text())
+    yield told
+    path.write_text(json.dumps(told))
+
+
 def reseal(folder: Path) -> None:
-    told = json.loads((folder / POLICY_JSON).read_text())
-    told["weights_sha256"] = files.sha256_from_file(folder / WEIGHTS)
-    (folder / POLICY_JSON).write_text(json.dumps(told))
+    with description(folder) as told:
+        told["weights_sha256"] = files.sha256_from_file(folder / WEIGHTS)
 
 
 def test_weights_that_are_not_those_of_the_description_are_refused(folder: Path):
@@ -78,17 +89,15 @@ def test_weights_that_are_not_those_of_the_description_are_refused(folder: Path)
 )
 def test_a_description_out_of_bounds_is_refused(folder: Path, key: str, value: object):
     saved(folder, small_config())
-    path = folder / POLICY_JSON
-    told = json.loads(path.read_text())
-    (told if key in told else told["net"])[key] = value
-    path.write_text(json.dumps(told))
+    with description(folder) as told:
+        (told if key in told else told["net"])[key] = value
     with pytest.raises(PolicyError, match=key):
         load_net(folder)
 
 
 def with_net(folder: Path, **parts: object) -> None:
-    told = json.loads((folder / POLICY_JSON).read_text())
-    (folder / POLICY_JSON).write_text(json.dumps({**told, "net": {**told["net"], **parts}}))
+    with description(folder) as told:
+        told["net"] |= parts
 
 
 def test_a_file_of_before_is_read_and_one_of_camera_pictures_refused(folder: Path):

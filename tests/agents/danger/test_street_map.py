@@ -26,7 +26,6 @@ from wcsim.types import ClassId
 
 CAMERA = CameraConfig(width_px=96, height_px=72)
 CONFIG = RunConfig(cameras=(CAMERA,))
-POINTS = ACTIONS.points
 AHEAD, LEFT = ACTIONS.nearest((0.0, 1.0)), ACTIONS.nearest((-1.0, 0.0))
 
 

@@ -7,7 +7,8 @@ import pytest
 from tests.agents.danger.sights import observation, small_config
 from tests.agents.danger.test_policy import policy_of
 from tests.agents.driven import Script, driven
-from tests.agents.evaluation.suite.lists import Held, block_of, order_of
+from tests.agents.evaluation.suite.lists import block_of, order_of
+from tests.drive.lookers import HearsDelays
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.envs.episode_view import OBJECTS
 from wcsim.agents.evaluation.suite.drive import drive_block
@@ -15,20 +16,6 @@ from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.agents.policy_api import HearsDelay, pass_delay
 from wcsim.config import resolve
 from wcsim.types import Drawn
-
-
-class Told(Held):
-    """Writes down what it hears."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.heard: list[object] = []
-
-    def set_delay(self, ticks: int) -> None:
-        self.heard.append(ticks)
-
-    def reset(self) -> None:
-        self.heard.append("reset")
 
 
 class Drawing(Script):
@@ -56,7 +43,7 @@ def test_a_network_that_was_told_a_delay_sees_what_one_sees_that_was_made_with_i
 
 
 def test_without_a_drawn_delay_the_configured_one_stays():
-    policy, told = policy_of("world.action_delay_ticks=2"), Told()
+    policy, told = policy_of("world.action_delay_ticks=2"), HearsDelays()
     for drawn in (None, Drawn(light=0.5)):
         pass_delay(policy, drawn)
         pass_delay(told, drawn)
@@ -65,19 +52,14 @@ def test_without_a_drawn_delay_the_configured_one_stays():
 
 
 def test_a_test_in_a_town_tells_each_episodes_delay_before_it_begins():
-    policy = Told()
+    policy = HearsDelays()
     driven(policy, Drawing(crash_at=3), episodes=3, max_steps=9, seed=1)
     assert policy.heard == [0, "reset", 1, "reset", 2, "reset"]
 
 
 def test_a_suite_tells_each_episodes_delay_before_it_begins(corner):
     piece, place = order_of(corner, block_of(corner, max_steps=4))
-    made: list[Told] = []
-
-    def make() -> Told:
-        made.append(Told())
-        return made[-1]
-
+    made = [HearsDelays(), HearsDelays()]
     varied = resolve(place.config, "vary.action_delay_ticks=[3,3]")
-    drive_block(piece, replace(place, config=varied), make)
+    drive_block(piece, replace(place, config=varied), iter(made).__next__)
     assert [policy.heard for policy in made] == [[3, "reset"], [3, "reset"]]

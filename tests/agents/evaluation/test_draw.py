@@ -19,8 +19,12 @@ def place():
     return DrawPlace("manhattan", load_street(find_town("manhattan")), config())
 
 
-def test_ways_keep_apart_and_are_the_same_for_the_same_seed(place):
-    blocks = free_blocks(place, FREE, 3, 5)
+@pytest.fixture(scope="module")
+def blocks(place):
+    return free_blocks(place, FREE, 3, 5)
+
+
+def test_ways_keep_apart_and_are_the_same_for_the_same_seed(place, blocks):
     assert blocks[:1] == free_blocks(place, FREE, 1, 5) != free_blocks(place, FREE, 1, 6)
     assert [block.episodes[0].profile for block in blocks] == ["ataxic", "inattentive", "ataxic"]
     for block in blocks:
@@ -43,8 +47,8 @@ def test_attempts_lead_over_one_crossing_each_and_use_them_all(place):
     assert len(over) == len(set(over)) == 16  # each in turn before one comes again
 
 
-def test_the_reference_grows_with_the_way_and_with_a_slower_user(place):
-    (block,) = free_blocks(place, FREE, 1, 5)
-    way = place.router.route(block.episodes[0].start_m, block.episodes[0].goal_m)
+def test_the_reference_grows_with_the_way_and_with_a_slower_user(place, blocks):
+    episode = blocks[0].episodes[0]
+    way = place.router.route(episode.start_m, episode.goal_m)
     quick_s, slow_s = (_reference_time_s(way, who, place.config) for who in ("competent", "ataxic"))
     assert way.arc_m[-1] / place.config.chair.v_max_mps < quick_s <= slow_s

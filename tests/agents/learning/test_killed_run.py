@@ -7,7 +7,7 @@ import sys
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from tests.agents.learning.test_train import weights
+from tests.agents.learning.test_train import Nervous, weights
 from tests.agents.toy import ToyStreet, load_checkpoint, q_config, same_from_here_on, toy_camera, train_toy
 from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.checkpoint import save_checkpoint
@@ -43,22 +43,13 @@ def config(**learn):
     return q_config(CAMERA, **{**small, **learn})
 
 
-def drive(out, epsilon, resume=False, at=None):
+def drive(out, epsilon, resume=False, at=-9):
     """Train to the end, or be killed a few steps after step `at`; the resumed sitting meets the same street."""
     done = int(list_checkpoints(out / "checkpoints")[-1].name[5:]) if resume else 0
-
-    class Killed(Fixed):
-        steps = 0
-
-        def step(self, action):
-            self.steps += 1
-            if at is not None and self.steps == at + 7:
-                signal.raise_signal(signal.SIGKILL)
-            return super().step(action)
-
+    street = Nervous(at + 7, lambda: signal.raise_signal(signal.SIGKILL), Fixed(done // EPISODE))
     explores = {"epsilon_start": epsilon, "epsilon_end": epsilon}
     short = config(replay_frames=100, checkpoint_every=50, **explores)  # at HALF, the oldest frames are gone
-    return train_toy(short, out, lambda: Killed(done // EPISODE), resume=resume)
+    return train_toy(short, out, lambda: street, resume=resume)
 
 
 @pytest.mark.proof

@@ -42,14 +42,18 @@ def has_learned(learned, follow):
     return per_1000(learned) <= 0.5 * per_1000(follow) and learned.speed_mps >= 0.3 and learned.kpi1 <= 0.9
 
 
+def outcome(settings, out, seed, steps):
+    """The run of a training, and evaluation rows of the user alone and of what was learned."""
+    run = train_toy(settings, out, lambda: ToyStreet(CAMERA), seed=seed)
+    policies = make_baseline_policy("follow", settings), load_policy(policy_folder_from_name(str(run)))
+    return run, *(drive(policy, steps) for policy in policies)
+
+
 @pytest.mark.proof
 def test_it_learns_to_avoid_what_the_user_does_not_see(tmp_path):
-    settings = config(**SHORT)
-    run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=0)
-    follow = drive(make_baseline_policy("follow", settings), 8000)  # 2000 steps hold 9 to 17 crashes for equal policies
-    obedient, learned = (
-        drive(load_policy(policy_folder_from_name(f"{run}:{stage}")), 8000) for stage in ("phase1", "final")
-    )
+    steps = 8000  # 2000 hold 9 to 17 crashes for equal policies
+    run, follow, learned = outcome(config(**SHORT), tmp_path / "run", 0, steps)
+    obedient = drive(load_policy(policy_folder_from_name(f"{run}:phase1")), steps)
     # The first phase teaches obedience: what the user wants, crashes included.
     assert obedient.kpi1 <= 0.1768
     assert per_1000(obedient) > 0.5 * per_1000(follow)
@@ -63,11 +67,7 @@ def test_it_learns_to_avoid_what_the_user_does_not_see(tmp_path):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_it_learns_with_other_seeds_and_more_time(seed, tmp_path):
     settings = config(total_steps=16_000, phase1_steps=2000)
-    run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=seed)
-    follow, learned = (
-        drive(make_baseline_policy("follow", settings), 8000),
-        drive(load_policy(policy_folder_from_name(str(run))), 8000),
-    )
+    _, follow, learned = outcome(settings, tmp_path / "run", seed, 8000)
     assert per_1000(learned) <= 0.25 * per_1000(follow)
     assert learned.speed_mps >= 0.4
     assert learned.kpi1 <= 0.85
@@ -107,10 +107,5 @@ def _wrong_sign(monkeypatch):
 @pytest.mark.parametrize("fault", [_no_update, _wrong_sign])
 def test_a_learner_with_a_planted_fault_is_found_out(fault, tmp_path, monkeypatch):
     fault(monkeypatch)
-    settings = config(**SHORT)
-    run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=0)
-    follow, learned = (
-        drive(make_baseline_policy("follow", settings), 2000),
-        drive(load_policy(policy_folder_from_name(str(run))), 2000),
-    )
+    _, follow, learned = outcome(config(**SHORT), tmp_path / "run", 0, 2000)
     assert not has_learned(learned, follow), learned

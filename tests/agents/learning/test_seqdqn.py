@@ -4,7 +4,7 @@ import torch
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from torch import nn
 
-from tests.agents.chain import CLASSES, SIDE, Chain, chain_values
+from tests.agents.chain import CLASSES, Chain, chain_values, tiny_view
 from tests.agents.toy import ToyStreet, explores, logs_in, memory_of, q_config, q_learner, toy_camera
 from tests.support.samples import ACTIONS
 from wcsim.agents.learning import seqdqn
@@ -209,11 +209,7 @@ def chain_errors(n_step=1, seed=1, steps=1200, network="patch"):
     learner.learn(steps)
     errors = []
     for state, value in enumerate(chain_values(gamma, n_step, forward.mean())):
-        one = {
-            "seg": torch.full((1, 1, SIDE, SIDE), CLASSES[state], dtype=torch.uint8),
-            "depth": torch.zeros(1, 1, SIDE, SIDE, dtype=torch.uint8),
-            "imu": torch.zeros(1, 5), "joystick": torch.zeros(1, 2),
-        }  # fmt: skip
+        one = {key: torch.as_tensor(value)[None] for key, value in tiny_view(CLASSES[state]).items()}
         with torch.no_grad():
             q = learner.q_net(one)[0].numpy()
         errors.append((abs(q[forward].mean() - value), abs(q[~forward].mean() - 0.3)))

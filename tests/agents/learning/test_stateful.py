@@ -1,6 +1,5 @@
 """Networks that carry a state: driven, stored, learned from groups of steps in a row, saved."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -8,8 +7,8 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch.nn import functional
 
-from tests.agents.toy import ToyStreet, WindowedStreet, q_config, q_learner, toy_camera
-from wcsim.agents.envs.episode_view import WORLD_RESTARTED
+from tests.agents.learning.test_seqdqn import perturb
+from tests.agents.toy import CutStreet, ToyStreet, WindowedStreet, q_config, q_learner, toy_camera
 from wcsim.agents.learning.build import build_q_learner, default_settings_for_network
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.learning.seqdqn import _burned_in, _group_targets, _group_values, _sequence_loss
@@ -168,27 +167,9 @@ def test_an_episodes_end_forgets_the_state_of_its_seat_alone():
     assert learner._carried[0].sum(axis=1).tolist() == [0.0, 256.0]
 
 
-class Restarted(gym.Wrapper):
-    """A street whose world begins again at the 30th step, as `Chair.cut` tells it."""
-
-    steps = 0
-
-    def reset(self, **options):
-        self.seen, info = super().reset(**options)
-        return self.seen, info
-
-    def step(self, action):
-        self.steps += 1
-        if self.steps == 30:
-            self.last = self.seen
-            return self.last, 0.0, False, True, {WORLD_RESTARTED: True}
-        self.seen, *rest = super().step(action)
-        return self.seen, *rest
-
-
 @pytest.mark.parametrize("learn", [{}, {"network": "patch", "memory": "steps"}])
 def test_a_step_that_was_never_driven_as_the_world_began_again_is_not_learned_from(learn):
-    street = Restarted(ToyStreet(CAMERA, max_steps=23))
+    street = CutStreet(30, CAMERA, max_steps=23)
     learner = build_q_learner(config(**learn), DummyVecEnv([lambda: street]), 0)
     learner.learn(60)
     buffer = learner.replay_buffer
@@ -196,7 +177,7 @@ def test_a_step_that_was_never_driven_as_the_world_began_again_is_not_learned_fr
     assert buffer.ended[28, 0] and not buffer.terminated[28, 0] and buffer.episode_step[29, 0] == 0
     last = buffer.gather(np.array([28]), np.array([0]))
     assert (float(last.dones), float(last.discounts)) == (0.0, pytest.approx(learner.gamma))
-    assert all(np.array_equal(last.next_observations[key][0].numpy(), street.last[key]) for key in street.last)
+    assert all(np.array_equal(last.next_observations[key][0].numpy(), street.shown[key]) for key in street.shown)
     assert np.isfinite(learner.last_loss)
 
 
@@ -206,9 +187,7 @@ def test_a_step_that_was_never_driven_as_the_world_began_again_is_not_learned_fr
 def test_targets_by_hand():
     """Each step's return plus the value of what comes after it, with the states of both networks burned in."""
     learner = trained(burn_in=3, n_step=3)
-    torch.manual_seed(1)
-    for p in learner.q_net_target.parameters():
-        p.data += 0.05 * torch.randn_like(p)
+    perturb(learner)
     batch = whole_groups(learner)
     with torch.no_grad():
         online, target = _group_values(learner.q_net, batch), _group_values(learner.q_net_target, batch)

@@ -18,9 +18,8 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
-from tests.agents.toy import ToyStreet, a_run, full_once, q_config, toy_camera, train_toy
+from tests.agents.toy import CutStreet, ToyStreet, a_run, full_once, q_config, toy_camera, train_toy
 from tests.support.events import read_events
-from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.checkpoint import _generator_state, _restored_generator
 from wcsim.agents.learning.saved_policy import load_policy
@@ -35,7 +34,7 @@ from wcsim.agents.runs.run_folder import (
     policy_folder_from_name,
     run_from_policy_name,
 )
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, resolve
 from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
 from wcsim.server.specs import RunInfo
@@ -56,8 +55,8 @@ def config(**learn):
 class Nervous(gym.Wrapper):
     """Calls something once, at a certain step."""
 
-    def __init__(self, at, call, max_steps=30):
-        super().__init__(ToyStreet(CAMERA, max_steps=max_steps))
+    def __init__(self, at, call, env=None):
+        super().__init__(env or street())
         self.at, self.call, self.done_steps, self.seeds = at, call, 0, []
 
     def reset(self, *, seed=None, options=None):
@@ -116,22 +115,8 @@ def test_a_run_folder_says_everything(run):
     assert sorted(p.name for p in (path / "checkpoints").glob("step*")) == [f"step-{k:08d}" for k in (120, 180, 240)]
 
 
-class Cut(ToyStreet):
-    """The toy street, whose world ends in step 75."""
-
-    steps = 0
-
-    def step(self, action):
-        self.steps += 1
-        if self.steps == 75:
-            _, _, _, _, info = super().step(action)
-            return self.seen, 0.0, False, True, {**info, WORLD_RESTARTED: True}
-        self.seen, *rest = super().step(action)
-        return self.seen, *rest
-
-
 def test_an_episode_that_its_world_cut_says_so_and_counts_no_step_that_nobody_drove(tmp_path):
-    path = train_toy(config(total_steps=120), tmp_path / "run", lambda: Cut(CAMERA, max_steps=1000))
+    path = train_toy(config(total_steps=120), tmp_path / "run", lambda: CutStreet(75, CAMERA, max_steps=1000))
     rows = read_metrics(path / "metrics.csv")
     (cut,) = (row for row in rows if row["cut"] == "1")
     assert int(cut["step"]) == 75 and cut["crashed"] == "0"
@@ -390,7 +375,7 @@ def test_a_manifest_keeps_what_it_was_told(tmp_path):
 def test_a_run_keeps_the_user_s_own_plant(tmp_path):
     own = tmp_path / "own.toml"
     own.write_bytes((Path(wcsim.__file__).parent / "config" / "plants" / "rwd.toml").read_bytes())
-    wanted = config().model_copy(update={"chair": config().chair.model_copy(update={"plant": str(own)})})
+    wanted = resolve(config(), f"chair.plant={own}")
     run = create_run_folder(tmp_path / "r", wanted, make_run_manifest(wanted, INFO))
     text = own.read_bytes()
     own.unlink()

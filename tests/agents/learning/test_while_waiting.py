@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from tests.agents.learning.test_train import Nervous, config, street, weights
 from tests.agents.toy import ToyStreet, a_run, toy_camera, train_toy
+from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train_dqn
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
@@ -57,10 +58,7 @@ def test_nothing_is_put_off_where_updates_come_before_acting(tmp_path):
 
 
 def test_as_many_updates_are_done_in_either_order(tmp_path, monkeypatch):
-    counts = []
-    from wcsim.agents.learning.seqdqn import SeqDQN
-
-    real = SeqDQN.do_updates
+    counts, real = [], SeqDQN.do_updates
     monkeypatch.setattr(SeqDQN, "do_updates", lambda self, steps, size: (counts.append(steps), real(self, steps, size)))
     for number, updates in enumerate(("before_acting", "while_waiting")):
         counts.clear()
@@ -117,8 +115,6 @@ def test_what_a_listener_raises_is_raised_and_a_failure_of_the_work_recalls_it()
 @pytest.mark.parametrize("updates", ["before_acting", "while_waiting"])
 def test_updates_that_are_due_when_a_run_is_stopped_are_done_when_it_goes_on(tmp_path, monkeypatch, updates):
     """As many, and each with the rate that it would have had."""
-    from wcsim.agents.learning.seqdqn import SeqDQN
-
     done, real = [], SeqDQN.do_updates
 
     def noted(self, steps, size):

@@ -50,11 +50,16 @@ def q_net(height=60, width=80, frames=1, **spec):
     return QNet(space(height, width, frames), gym.spaces.Discrete(81), NetSpec(**spec))
 
 
-@pytest.mark.parametrize("network", NETWORK_NAMES)
-@pytest.mark.parametrize("size", [(60, 80), (240, 320), (24, 32), (33, 47)])
-def test_any_image_size_gives_a_value_for_each_action(network, size):
-    net = q_net(*size, network=network)
-    assert net(batch(*size, [(0, 0), (1, 0)])).shape == (2, 81)
+@pytest.mark.parametrize(
+    "network, size, frames",
+    [
+        *((network, size, 1) for network in NETWORK_NAMES for size in ((60, 80), (240, 320), (24, 32), (33, 47))),
+        *((network, *window) for network in WINDOWED for window in (((60, 80), 4), ((24, 32), 16))),
+    ],
+)
+def test_any_image_size_and_window_gives_a_value_for_each_action(network, size, frames):
+    net = q_net(*size, frames, network=network)
+    assert net(batch(*size, [(0, 0), (1, 0)], frames)).shape == (2, 81)
 
 
 def test_a_network_of_one_camera_refuses_the_images_of_others():
@@ -125,13 +130,6 @@ def test_other_observations_are_refused():
 
 
 # --- windows of images ---
-
-
-@EACH_WINDOWED
-@pytest.mark.parametrize("size, frames", [((60, 80), 4), ((33, 47), 1), ((24, 32), 16)])
-def test_windowed_networks_take_any_window(network, size, frames):
-    net = q_net(*size, frames, network=network)
-    assert net(batch(*size, [(0, 0), (1, 0)], frames)).shape == (2, 81)
 
 
 @pytest.mark.parametrize("network, frames, most", [("patch", 1, 250_000), *((name, 4, 400_000) for name in WINDOWED)])

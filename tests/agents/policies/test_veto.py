@@ -28,12 +28,12 @@ def seen(surface):
 
 
 class Doubter:
-    """Wants one action, holds some for unsafe, and writes down what is sent."""
+    """Wants to drive on, holds some for unsafe, and writes down what is sent."""
 
     name, senses = "doubter", ("brake",)
 
-    def __init__(self, wants, doubts=()):
-        self.wants, self.told, self.warning = ACTIONS.nearest(wants), [], True
+    def __init__(self, doubts=()):
+        self.wants, self.told, self.warning = ACTIONS.nearest(AHEAD), [], True
         self.unsafe = np.array([tuple(point) in doubts for point in ACTIONS.points.tolist()])
 
     def begin(self):
@@ -81,26 +81,26 @@ def test_before_a_wall_the_nearest_action_that_is_allowed_is_taken():
 
 
 def test_what_the_policy_itself_holds_for_unsafe_is_not_put_in_the_place():
-    first = veto(Doubter(AHEAD)).act(seen(WALL))
-    doubter = Doubter(AHEAD, doubts={tuple(ACTIONS.points[first].tolist())})
+    first = veto(Doubter()).act(seen(WALL))
+    doubter = Doubter({tuple(ACTIONS.points[first].tolist())})
     assert veto(doubter).act(seen(WALL)) != first
 
 
 def test_where_all_is_unsafe_to_one_of_both_the_veto_counts():
     everything = {tuple(point) for point in ACTIONS.points.tolist()}
-    first = veto(Doubter(AHEAD)).act(seen(WALL))
-    assert veto(Doubter(AHEAD, doubts=everything)).act(seen(WALL)) == first
+    first = veto(Doubter()).act(seen(WALL))
+    assert veto(Doubter(everything)).act(seen(WALL)) == first
 
 
 def test_where_dwa_would_take_nothing_the_policy_decides(monkeypatch):
-    policy = veto(Doubter(AHEAD))
+    policy = veto(Doubter())
     monkeypatch.setattr(policy._dwa, "choose", lambda observation: 0)
     policy._dwa.unsafe = np.ones(81, np.bool_)
     assert policy.act(seen(WALL)) == ACTIONS.nearest(AHEAD)
 
 
 def test_it_has_the_senses_of_both_and_tells_the_policy_what_happens():
-    inner = Doubter(AHEAD)
+    inner = Doubter()
     policy = veto(inner)
     assert all(isinstance(policy, what) for what in (HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns))
     assert policy.senses == ("odometry", "gyro", "brake") and policy.warning

@@ -1,15 +1,22 @@
 """Small trainings in rounds, and what came of them: for tests that do the same one in different ways."""
 
+from __future__ import annotations
+
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tests.agents.danger.sights import a_segment, write_segment
 from tests.support.worlds import dqn_config
+from wcsim.agents.rounds.drive_segment import SegmentOrder
 from wcsim.agents.rounds.train_rounds import DATA, train_danger
-from wcsim.agents.runs.data_folder import read_data_manifest
+from wcsim.agents.runs.data_folder import read_data_manifest, segment_path_from_name
 from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.server.specs import RunInfo
+from wcsim.server.workers.machines import WorkerPoolSettings
 from wcsim.towns.scenario.town import find_town, streets_hash
 
 SMALL = (
@@ -17,6 +24,27 @@ SMALL = (
     *("collect.scene_share=0", "danger.updates=4", "danger.batch=8", "collect.network_share=1.0"),
     *("sensors.odometry=typical", "env.observe_gyro=true"),
 )
+
+
+class NoiseCrew:
+    """Whoever asks gets streets of noise, which follow from the key; a network has to be where an order says."""
+
+    def __init__(self, config: RunConfig, data: Path, machines: WorkerPoolSettings, logs: Path) -> None:
+        self._folder = data
+
+    def __enter__(self) -> NoiseCrew:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Nobody works."""
+
+    def ask(self, orders: Sequence[SegmentOrder]) -> None:
+        assert all(not order.policy or Path(order.policy, "policy.json").is_file() for order in orders)
+
+    def take(self, orders: Sequence[SegmentOrder], told: object) -> dict[str, str]:
+        self.ask(orders)
+        paths = {segment_path_from_name(self._folder, order.key.name): order.key for order in orders}
+        return {path.name: write_segment(path, a_segment(seed=key.round + key.index)) for path, key in paths.items()}
 
 
 def run_in(corner: Path, out: Path, *overrides: str, resume: bool = False) -> ResolvedRun:

@@ -8,43 +8,30 @@ from pathlib import Path
 
 import pytest
 
-from tests.agents.danger.sights import a_segment, small_config, write_segment
+from tests.agents.danger.sights import small_config
+from tests.agents.rounds.small_runs import NoiseCrew
 from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
 from wcsim.agents.rounds.drive_segment import SegmentOrder
-from wcsim.agents.runs.data_folder import read_data_manifest, segment_path_from_name
-from wcsim.config import RunConfig
+from wcsim.agents.runs.data_folder import read_data_manifest
 from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core.files import lock_run_folder
 from wcsim.errors import ConfigError, PolicyError
-from wcsim.server.workers.machines import WorkerPoolSettings
 
 PLANT = (Path(__file__).parents[3] / "examples" / "fwd.toml").read_text()
 
 
-class OneDies:
+class OneDies(NoiseCrew):
     """Drives noise, and dies at the second segment where it is told to."""
 
     dies = False
 
-    def __init__(self, config: RunConfig, data: Path, machines: WorkerPoolSettings, logs: Path) -> None:
-        self._folder = data
-
-    def __enter__(self) -> OneDies:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Nobody works."""
-
     def take(self, orders: Sequence[SegmentOrder], told: object) -> dict[str, str]:
-        found = {}
-        for number, order in enumerate(orders):
-            if self.dies and number == 1:
-                raise KeyboardInterrupt
-            path = segment_path_from_name(self._folder, order.key.name)
-            found[path.name] = write_segment(path, a_segment(seed=order.key.index))
-        return found
+        done = super().take(orders[:1] if self.dies else orders, told)
+        if self.dies:
+            raise KeyboardInterrupt
+        return done
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import zstandard
 
+from tests.agents.danger import sights
 from tests.agents.danger.sights import write_segment
 from tests.support.worlds import dqn_config
 from wcsim.agents.runs import data_folder
@@ -34,33 +35,18 @@ PLANT = (EXAMPLES / "fwd.toml").read_text()
 
 
 def a_segment(rows: int = 7, seed: int = 0) -> DrivingSegment:
-    rng = np.random.default_rng(seed)
-
-    def drawn(*shape: int) -> np.ndarray:
-        return rng.normal(size=shape).astype(np.float32)
-
-    return DrivingSegment(
-        depth=rng.integers(0, 256, (rows, 24, 32)).astype(np.uint8),
-        seg=rng.integers(0, 34, (rows, 24, 32)).astype(np.uint8),
-        imu=drawn(rows, 8),
-        odometry=drawn(rows, 2),
-        stick=drawn(rows, 2),
-        wish=drawn(rows, 2),
-        action=rng.integers(0, 81, rows).astype(np.uint8),
-        driver=np.zeros(rows, np.uint8),
-        visible=np.full((rows, 81), 255, np.uint8),
-        truth=np.full((rows, 81), 255, np.uint8),
-        reward=drawn(rows),
-        crashed=np.zeros(rows, np.bool_),
-        own=np.zeros(rows, np.bool_),
-        ended=np.arange(rows) == rows - 1,
-        delay=np.full(rows, 2, np.uint8),
-    )
+    """Of one episode."""
+    return sights.a_segment(rows, seed, ends=())
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "a.npz.zst"
+
+
+def refused(path: Path, told: str) -> None:
+    with pytest.raises(PolicyError, match=told):
+        read_segment(path)
 
 
 def test_a_segment_is_read_as_it_was_written_and_its_bytes_follow_from_it_alone(tmp_path: Path):
@@ -93,8 +79,7 @@ def test_segments_are_joined_in_their_order():
 def test_a_segment_that_was_cut_short_is_refused(path: Path, bytes_left: int):
     write_segment(path, a_segment())
     path.write_bytes(path.read_bytes()[:bytes_left])
-    with pytest.raises(PolicyError, match="cannot be read"):
-        read_segment(path)
+    refused(path, "cannot be read")
 
 
 def test_a_segment_that_was_exchanged_is_refused(path: Path):
@@ -109,8 +94,7 @@ def test_numbers_that_are_none_are_refused(path: Path, value: float):
     segment = a_segment()
     segment.imu[2, 1] = value
     write_segment(path, segment)
-    with pytest.raises(PolicyError, match="not finite"):
-        read_segment(path)
+    refused(path, "not finite")
 
 
 @pytest.mark.parametrize(
@@ -132,22 +116,19 @@ def test_numbers_that_are_none_are_refused(path: Path, value: float):
 )
 def test_columns_that_fit_nothing_are_refused(path: Path, changes: dict[str, np.ndarray]):
     path.write_bytes(packed(**{**a_segment().arrays(), **changes}))
-    with pytest.raises(PolicyError, match=r"another form|do not fit|rows"):
-        read_segment(path)
+    refused(path, r"another form|do not fit|rows")
 
 
 def test_a_segment_without_a_row_is_refused(path: Path):
     path.write_bytes(packed(**{name: column[:0] for name, column in a_segment().arrays().items()}))
-    with pytest.raises(PolicyError, match="do not fit"):
-        read_segment(path)
+    refused(path, "do not fit")
 
 
 def test_a_segment_that_says_it_is_larger_than_memory_is_refused(path: Path):
     claim = io.BytesIO()
     np.lib.format.write_array_header_1_0(claim, {"descr": "<f4", "fortran_order": False, "shape": (10**14,)})
     path.write_bytes(packed(**a_segment().arrays() | {"reward": claim.getvalue()}))
-    with pytest.raises(PolicyError, match="cannot be read"):
-        read_segment(path)
+    refused(path, "cannot be read")
 
 
 def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_does(path: Path, monkeypatch):
@@ -156,15 +137,13 @@ def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_does(path:
     read_segment(path)
     monkeypatch.setattr(data_folder, "SEGMENT", replace(data_folder.SEGMENT, limit_bytes=1 << 20))
     assert path.stat().st_size < 1 << 19
-    with pytest.raises(PolicyError, match="more than"):
-        read_segment(path)
+    refused(path, "more than")
 
 
 @pytest.mark.parametrize("way", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_what_is_packed_once_more_may_unpack_to_anything_and_is_refused(path: Path, way: int):
     path.write_bytes(packed(way, **a_segment().arrays()))
-    with pytest.raises(PolicyError, match="packed in another way"):
-        read_segment(path)
+    refused(path, "packed in another way")
 
 
 @pytest.mark.parametrize("shape", ["(" * 3000, "-" * 9000 + "1", "(" + "'x'," * 9])
@@ -172,8 +151,7 @@ def test_a_header_that_numpy_fails_at_is_refused(path: Path, shape: str):
     head = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}}}\n".encode()
     column = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head
     path.write_bytes(packed(**a_segment().arrays() | {"reward": column}))
-    with pytest.raises(PolicyError, match="cannot be read"):
-        read_segment(path)
+    refused(path, "cannot be read")
 
 
 def packed(way: int = zipfile.ZIP_STORED, **columns: np.ndarray | bytes) -> bytes:

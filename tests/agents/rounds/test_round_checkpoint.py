@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,47 +15,24 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from tests.agents.danger.sights import a_segment, lectures, small_config, write_segment
-from tests.agents.rounds.small_runs import SMALL, outcome, run_in, train_in
+from tests.agents.rounds.small_runs import SMALL, NoiseCrew, outcome, run_in, train_in
 from tests.support.one_process import files_of_at_most
 from tests.support.worlds import dqn_config
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
-from wcsim.agents.rounds.drive_segment import SegmentOrder
 from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, _save_round, train_danger
-from wcsim.agents.runs.checkpoint import _restore_newest, checkpoint_number_from_path, format_checkpoint_name
+from wcsim.agents.runs.checkpoint import STATE, _restore_newest, checkpoint_number_from_path, format_checkpoint_name
 from wcsim.agents.runs.data_folder import DrivingSegmentKey, segment_path_from_name, write_data_manifest
 from wcsim.agents.runs.metrics import read_round_metrics
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.agents.runs.weights import write_policy_folder
 from wcsim.cli.shared.run_config import settings_from_learner
-from wcsim.config import RunConfig, resolve
+from wcsim.config import resolve
 from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
-from wcsim.server.workers.machines import WorkerPoolSettings
 from wcsim.towns.scenario.town import Town
 
 SETTINGS = ("danger.width=8", "collect.segments=1")
-
-
-class NoiseCrew:
-    """Whoever asks gets streets of noise, which follow from the key; a network has to be where an order says."""
-
-    def __init__(self, config: RunConfig, data: Path, machines: WorkerPoolSettings, logs: Path) -> None:
-        self._folder = data
-
-    def __enter__(self) -> NoiseCrew:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Nobody works."""
-
-    def ask(self, orders: Sequence[SegmentOrder]) -> None:
-        assert all(not order.policy or Path(order.policy, "policy.json").is_file() for order in orders)
-
-    def take(self, orders: Sequence[SegmentOrder], told: object) -> dict[str, str]:
-        self.ask(orders)
-        paths = {segment_path_from_name(self._folder, order.key.name): order.key for order in orders}
-        return {path.name: write_segment(path, a_segment(seed=key.round)) for path, key in paths.items()}
 
 
 @pytest.fixture(autouse=True)
@@ -156,8 +133,12 @@ def load_round(folder: Path) -> tuple[int, dict[str, str]]:
     return checkpoint_number_from_path(found.path), found.value
 
 
-def _checkpoint_path(folder: Path, number: int) -> Path:
-    return folder / format_checkpoint_name("round", number)
+def saved(
+    folder: Path, number: int = 0, segments: dict[str, str] | None = None, learner: DangerLearner | None = None
+) -> Path:
+    """The state of a checkpoint."""
+    _save_round(folder, number, learner or a_learner(), segments or {})
+    return folder / format_checkpoint_name("round", number) / STATE
 
 
 @pytest.fixture(scope="module")
@@ -188,32 +169,25 @@ def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights
 
 
 def test_a_round_with_very_many_segments_is_kept_and_found(tmp_path: Path) -> None:
-    learner = a_learner()
     segments = {f"3-{number // 4000:03d}-{number % 4000:04d}.npz.zst": "a" * 64 for number in range(12_000)}
-    _save_round(tmp_path, 0, learner, segments)
+    saved(tmp_path, 0, segments)
     assert load_round(tmp_path) == (0, segments)
 
 
 @pytest.mark.parametrize("name", ["../../3-000-0000.npz.zst", "3-000.npz.zst", "a-b-c.npz.zst"])
 def test_a_checkpoint_that_names_what_is_no_segment_is_refused(tmp_path: Path, name: str) -> None:
-    learner = a_learner()
-    _save_round(tmp_path, 0, learner, {})
-    path = _checkpoint_path(tmp_path, 0) / "state.json"
-    resealed(path, segments={name: "a" * 64})
+    resealed(saved(tmp_path), segments={name: "a" * 64})
     with pytest.raises(PolicyError, match=r"no segment's file|pattern"):
         load_round(tmp_path)
 
 
 @pytest.mark.parametrize("key", ["updates", "loss", "segments"])
 def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(tmp_path: Path, key: str) -> None:
-    learner = a_learner()
-    for number in range(2):
-        _save_round(tmp_path, number, learner, {"3-000-0000.npz.zst": "a" * 64})
-    path = _checkpoint_path(tmp_path, 1) / "state.json"
+    _, path = (saved(tmp_path, number, {"3-000-0000.npz.zst": "a" * 64}) for number in range(2))
     state = json.loads(path.read_text())
     changed = {"3-000-0000.npz.zst": "b" * 64} if key == "segments" else state[key] + 1
     path.write_text(json.dumps({**state, key: changed}))
-    found = _restore_newest(tmp_path, _restoring(learner))
+    found = _restore_newest(tmp_path, _restoring(a_learner()))
     assert checkpoint_number_from_path(found.path) == 0
     assert ["its content does not match its hash" in reason for reason in found.passed_over.values()] == [True]
     seal = state.pop("seal")
@@ -224,23 +198,19 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
 
 
 def test_a_full_disk_is_told_in_words(tmp_path: Path) -> None:
-    learner = a_learner()
     with files_of_at_most(1 << 12):
         with pytest.raises(DiskFullError, match="make room"):
-            _save_round(tmp_path, 0, learner, {})
+            saved(tmp_path)
         with pytest.raises(DiskFullError, match="make room"):
             write_policy_folder(tmp_path / "policy", torch.nn.Linear(100, 100), {})
     assert not (tmp_path / "policy").exists() and list(tmp_path.glob("round*")) == []
 
 
 def test_a_sparse_file_in_place_of_arrays_is_never_read(tmp_path: Path) -> None:
-    learner = a_learner()
-    for number in range(2):
-        _save_round(tmp_path, number, learner, {})
-    os.truncate(_checkpoint_path(tmp_path, 1) / "weights.safetensors", (1 << 42) - 1)
-    assert load_round(tmp_path)[0] == 0
-    os.truncate(_checkpoint_path(tmp_path, 1) / "weights.safetensors", 60 << 30)
-    assert load_round(tmp_path)[0] == 0
+    _, newest = (saved(tmp_path, number) for number in range(2))
+    for size in ((1 << 42) - 1, 60 << 30):
+        os.truncate(newest.with_name("weights.safetensors"), size)
+        assert load_round(tmp_path)[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -257,14 +227,14 @@ def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
 ) -> None:
     learner = a_learner()
     learner.learn(lectures(small_config()), 1)
-    _save_round(tmp_path, 0, learner, {})
-    path = _checkpoint_path(tmp_path, 0) / f"{name}.safetensors"
+    state = saved(tmp_path, learner=learner)
+    path = state.with_name(f"{name}.safetensors")
     held = load_file(path)
     key = next(key for key, value in held.items() if value.numel() > 1)
     save_file({**held, key: change(held[key]).contiguous()}, path)
     arrays = list(path.parent.glob("*.saf*"))
     resealed(
-        path.with_name("state.json"),
+        state,
         sha256={item.name: files.sha256_from_file(item) for item in arrays},
         bytes={item.name: item.stat().st_size for item in arrays},
     )
@@ -274,8 +244,7 @@ def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
 
 @pytest.mark.parametrize("changes", [{"updates": "7"}, {"loss": True}, {"segments": []}, {"segments": {"a": 1}}])
 def test_a_state_of_other_types_is_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
-    _save_round(tmp_path, 0, a_learner(), {})
-    resealed(_checkpoint_path(tmp_path, 0) / "state.json", **changes)
+    resealed(saved(tmp_path), **changes)
     with pytest.raises(PolicyError, match=rf"{next(iter(changes))}.*got"):
         load_round(tmp_path)
 

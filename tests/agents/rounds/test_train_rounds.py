@@ -4,8 +4,6 @@ Which towns a run drives in, and which are made for it.
 """
 
 import json
-import os
-import signal
 import threading
 import time
 from pathlib import Path
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.agents.rounds.small_runs import SMALL, outcome, rows_of, run_in, train_in, weights_of
+from tests.support.cluster.workpieces import workers
 from tests.support.one_process import in_this_process
 from tests.support.worlds import dqn_config
 from wcsim.agents.danger.policy import load_danger
@@ -93,10 +92,10 @@ def test_two_worlds_and_one_that_is_killed_give_the_same_data_and_weights(straig
     def kill_one() -> None:
         while not killed:
             time.sleep(0.1)
-            for pid in children():
+            for worker in workers():
                 if (tmp_path / "two" / DATA / SEGMENTS).is_dir():  # one segment is there already
-                    os.kill(pid, signal.SIGKILL)
-                    killed.append(pid)
+                    worker.kill()
+                    killed.append(worker.pid)
                     return
 
     thread = threading.Thread(target=kill_one, daemon=True)
@@ -104,21 +103,6 @@ def test_two_worlds_and_one_that_is_killed_give_the_same_data_and_weights(straig
     train_in(corner, tmp_path / "two", machines=WorkerPoolSettings(count=2))
     assert killed
     assert outcome(tmp_path / "two") == outcome(straight)
-
-
-def children() -> list[int]:
-    """Processes of worlds, of this process."""
-    found = []
-    for task in Path("/proc/self/task").iterdir():
-        found += [int(pid) for pid in (task / "children").read_text().split()]
-    worlds = []
-    for pid in found:
-        try:
-            if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes():
-                worlds.append(pid)
-        except OSError:
-            continue
-    return worlds
 
 
 @pytest.mark.proof

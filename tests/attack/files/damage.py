@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tests.attack.scenarios.twists import Rng, integer, pick
+from tests.attack.scenarios.twists import Rng, holder_of, integer, pick, places
 
 Damage = Callable[[bytes, Rng], bytes]
 
@@ -69,8 +69,8 @@ ANY: tuple[Damage, ...] = (flipped, flipped, flipped, cut, cut, holed, longer, z
 def edited(text: bytes, rng: Rng) -> bytes:
     """JSON with another value in one place, a place more or a place less."""
     data = json.loads(text)
-    places = _places(data)
-    holder, key = pick(rng, places)
+    at = pick(rng, places(data))
+    holder, key = holder_of(data, at), at[-1]
     what = integer(rng, 8)
     if what == 0 and isinstance(holder, dict):
         del holder[key]
@@ -167,13 +167,3 @@ def change(path: Path, how: Damage, rng: Rng) -> bool:
     path.unlink()
     path.write_bytes(after)
     return after != before
-
-
-def _places(data: Any) -> list[tuple[Any, Any]]:
-    """Every (holder, key) in it."""
-    found = []
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    for key, value in items:
-        found.append((data, key))
-        found.extend(_places(value))
-    return found

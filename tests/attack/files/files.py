@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from tests.attack.scenarios.twists import (
     twisted,
     without_none,
 )
-from tests.support.framing import chained
+from tests.support.framing import chained, write_log
 from wcsim.agents.envs.env_spec import make_env_settings
 from wcsim.agents.runs.run_folder import (
     CONFIG,
@@ -42,7 +42,6 @@ from wcsim.config.scene import SceneFile
 from wcsim.log.framing import frame_payload, iter_whole_records
 from wcsim.log.reader import read_trace_states
 from wcsim.log.records import ActorBody, Header, WorldState, record_to_bytes
-from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
@@ -91,19 +90,8 @@ def _take_recording(path: Path) -> bool:
 def _take_trace(path: Path) -> bool:
     header, ticks = read_trace_states(path)
     path.unlink()
-    _write_trace(path, header, ticks)
-    found, again = read_trace_states(path)
-    return found == header and len(again) == len(ticks) and all(map(_same_tick, ticks, again))
-
-
-def _same_tick(a: WorldState, b: WorldState) -> bool:
-    return record_to_bytes(a) == record_to_bytes(b)
-
-
-def _write_trace(path: Path, header: Header, ticks: Sequence[WorldState]) -> None:
-    with LogWriter(path, header) as writer:
-        for tick in ticks:
-            writer.append(tick)
+    found, again = read_trace_states(write_log(path, header, ticks))
+    return found == header and [*map(record_to_bytes, ticks)] == [*map(record_to_bytes, again)]
 
 
 # --- sound ones ---
@@ -185,8 +173,8 @@ def sound_trace(work: Path) -> bytes:
         )
         for tick in range(3)
     ]  # fmt: skip
-    path = work / "sound.trace"
-    _write_trace(path, Header(town="t", seed=1, tick_s=0.1, seats=2, fingerprint="a", chair_box_m=(1.1, 0.3)), ticks)
+    header = Header(town="t", seed=1, tick_s=0.1, seats=2, fingerprint="a", chair_box_m=(1.1, 0.3))
+    path = write_log(work / "sound.trace", header, ticks)
     data = path.read_bytes()
     path.unlink()
     return data

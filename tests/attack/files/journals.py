@@ -11,7 +11,7 @@ from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import Rng, cleared, draws, integer, pick
 from tests.log.test_log import HEADER, RECORDS, tick
 from tests.support.events import read_events
-from tests.support.framing import chained, pieces, read_whole
+from tests.support.framing import chained, pieces, read_whole, write_log
 from wcsim.agents.runs.metrics import COLUMNS, MetricsFile, read_metrics
 from wcsim.log.framing import MAX_RECORD_BYTES, frame_payload
 from wcsim.log.reader import hash_log, iter_journal_inputs
@@ -66,10 +66,7 @@ def _feed(area: str, data: bytes, whole: bytes, folder: Path) -> bool:
 
 def a_journal(path: Path) -> Pieces:
     """The pieces of a sound one."""
-    with LogWriter(path, HEADER) as writer:
-        for record in LONG:
-            writer.append(record)
-    return pieces(path)
+    return pieces(write_log(path, HEADER, LONG))
 
 
 def a_ledger(path: Path) -> Pieces:

@@ -6,12 +6,12 @@ from tests.attack.files.family import Family, modelled
 from tests.attack.files.files import logged
 from tests.attack.scenarios.twists import toml_text, without_none
 from tests.log.drives import tick, write_drive
+from tests.support.framing import write_log
 from wcsim.config import parse_json, read_toml
 from wcsim.config.study import StudyFile
 from wcsim.log.drive import DriveRecording, read_drive
 from wcsim.log.reader import is_log_file, read_header
 from wcsim.log.records import Note, header_to_bytes, record_to_bytes
-from wcsim.log.writer import LogWriter
 from wcsim.users.profiles import _read_profile, profile_to_toml
 
 STUDY = {
@@ -61,12 +61,8 @@ def _take_drive(path: Path) -> bool:
     if not is_log_file(path) or read_header(path) != drive.header:
         return False
     path.unlink()
-    with LogWriter(path, drive.header) as recorder:
-        for event in drive.events:
-            recorder.append(event)
-        for item in drive.ticks:
-            recorder.append(item)
-    return _payloads(read_drive(path)) == _payloads(drive)
+    again = read_drive(write_log(path, drive.header, (*drive.events, *drive.ticks)))
+    return _payloads(again) == _payloads(drive)
 
 
 def _payloads(drive: DriveRecording) -> list[bytes]:

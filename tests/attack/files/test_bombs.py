@@ -47,6 +47,12 @@ JSON_BOMBS = {
     "no text": "\udcff\udcfe",
 }
 Take = Callable[[Path], Any]
+TOML_READERS: dict[str, Take] = {
+    "config": lambda path: resolve("quick", path),
+    "town": lambda path: read_toml(path, TownFile),
+    "scene": lambda path: read_toml(path, SceneFile),
+    "plant": lambda path: read_plant(str(path)),
+}
 
 
 NAMES = {
@@ -64,16 +70,7 @@ def write(path: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("bomb", TOML_BOMBS)
-@pytest.mark.parametrize(
-    "take",
-    [
-        lambda path: resolve("quick", path),
-        lambda path: read_toml(path, TownFile),
-        lambda path: read_toml(path, SceneFile),
-        lambda path: read_plant(str(path)),
-    ],
-    ids=["config", "town", "scene", "plant"],
-)
+@pytest.mark.parametrize("take", TOML_READERS.values(), ids=TOML_READERS)
 def test_a_toml_bomb_is_refused_in_one_line(tmp_path: Path, take: Take, bomb: str) -> None:
     with pytest.raises(ConfigError, match=r"bomb\.toml") as caught:
         take(write(tmp_path / "bomb.toml", TOML_BOMBS[bomb]))
@@ -100,12 +97,7 @@ def places(tmp_path: Path) -> list[Path]:
 
 def test_pipes_devices_and_odd_names_are_no_files(tmp_path: Path) -> None:
     for path in places(tmp_path):
-        for take in (
-            lambda path: resolve("quick", path),
-            lambda path: read_toml(path, TownFile),
-            lambda path: read_plant(str(path)),
-            lambda path: find_user(f"recorded:{path}"),
-        ):
+        for take in (*TOML_READERS.values(), lambda path: find_user(f"recorded:{path}")):
             with pytest.raises(ConfigError):
                 take(path)
         with pytest.raises(JournalError):
@@ -134,23 +126,6 @@ def a_run(folder: Path) -> Path:
         (folder / name).write_bytes(data)
     open_run(folder)
     return folder
-
-
-@pytest.mark.parametrize("name", [MANIFEST, CONFIG])
-@pytest.mark.parametrize("bomb", JSON_BOMBS)
-def test_a_json_bomb_in_a_run_is_refused_in_one_line(tmp_path: Path, name: str, bomb: str) -> None:
-    write(a_run(tmp_path) / name, JSON_BOMBS[bomb])
-    with pytest.raises(PolicyError, match=name.replace(".", r"\.")) as caught:
-        open_run(tmp_path)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", [MANIFEST, CONFIG])
-def test_a_device_in_a_copied_run_is_not_read(tmp_path: Path, name: str) -> None:
-    (a_run(tmp_path) / name).unlink()
-    (tmp_path / name).symlink_to("/dev/zero")
-    with pytest.raises(PolicyError, match="is not a run"):
-        open_run(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -189,27 +164,38 @@ def a_policy(folder: Path, about: Data, weights: bytes) -> Path:
     return folder
 
 
+@pytest.fixture
+def policy(tmp_path: Path, sound: policies.Sound) -> Path:
+    """A sound one."""
+    return a_policy(tmp_path, sound.about, sound.weights)
+
+
+READERS = {MANIFEST: open_run, CONFIG: open_run, POLICY_JSON: load_policy, WEIGHTS: load_policy}
+
+
+@pytest.mark.parametrize("name", [MANIFEST, CONFIG, POLICY_JSON])
 @pytest.mark.parametrize("bomb", JSON_BOMBS)
-def test_a_json_bomb_in_a_policy_is_refused_in_one_line(tmp_path: Path, sound: policies.Sound, bomb: str) -> None:
-    write(a_policy(tmp_path, sound.about, sound.weights) / POLICY_JSON, JSON_BOMBS[bomb])
-    with pytest.raises(PolicyError, match=r"policy\.json") as caught:
-        load_policy(tmp_path)
+def test_a_json_bomb_in_a_run_or_policy_is_refused_in_one_line(policy: Path, name: str, bomb: str) -> None:
+    write(a_run(policy) / name, JSON_BOMBS[bomb])
+    with pytest.raises(PolicyError, match=name.replace(".", r"\.")) as caught:
+        READERS[name](policy)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("name", [POLICY_JSON, WEIGHTS])
-def test_a_device_in_a_copied_policy_is_not_read(tmp_path: Path, sound: policies.Sound, name: str) -> None:
-    (a_policy(tmp_path, sound.about, sound.weights) / name).unlink()
-    (tmp_path / name).symlink_to("/dev/zero")
-    with pytest.raises(PolicyError, match=r"not a policy folder|not a regular file"):
-        load_policy(tmp_path)
+@pytest.mark.parametrize("name", READERS)
+def test_a_device_in_a_copied_run_or_policy_is_not_read(policy: Path, name: str) -> None:
+    (a_run(policy) / name).unlink()
+    (policy / name).symlink_to("/dev/zero")
+    told = "is not a run" if READERS[name] is open_run else "not a policy folder|not a regular file"
+    with pytest.raises(PolicyError, match=told):
+        READERS[name](policy)
 
 
-def test_an_entry_that_comes_twice_is_refused(tmp_path: Path, sound: policies.Sound) -> None:
-    path = a_policy(tmp_path, sound.about, sound.weights) / POLICY_JSON
+def test_an_entry_that_comes_twice_is_refused(policy: Path) -> None:
+    path = policy / POLICY_JSON
     path.write_text('{"window": 1, ' + path.read_text()[1:])
     with pytest.raises(PolicyError, match="'window' occurs twice"):
-        load_policy(tmp_path)
+        load_policy(policy)
 
 
 @pytest.mark.parametrize(
@@ -271,20 +257,20 @@ def test_pictures_that_would_fill_the_memory_are_refused(tmp_path: Path, sound: 
 
 
 def test_weights_that_change_between_two_looks_are_read_once(
-    tmp_path: Path, sound: policies.Sound, monkeypatch: pytest.MonkeyPatch
+    policy: Path, sound: policies.Sound, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder, looks = a_policy(tmp_path, sound.about, sound.weights), []
+    looks = []
     spoilt = bytearray(sound.weights)
     spoilt[-1] ^= 0x40
     whole = hashlib.sha256
 
     def exchanged(data: bytes = b"") -> Any:
         looks.append(len(data))
-        (folder / WEIGHTS).write_bytes(bytes(spoilt))  # after the bytes were read, before they are used
+        (policy / WEIGHTS).write_bytes(bytes(spoilt))  # after the bytes were read, before they are used
         return whole(data)
 
     monkeypatch.setattr("wcsim.agents.runs.weights.hashlib.sha256", exchanged)
-    state = load_policy(folder).net.state_dict()
+    state = load_policy(policy).net.state_dict()
     told = policies.unpacked(sound.weights)
     assert looks == [len(sound.weights)]
     assert all(state[name].numpy().tobytes() == data for name, (_, _, data) in told.items())

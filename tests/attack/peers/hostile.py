@@ -25,7 +25,7 @@ from tests.attack.peers.messages import hostile_request
 from tests.attack.peers.wire import shapes
 from tests.attack.scenarios.twists import Rng, integer, pick
 from wcsim.server.protocol import messages as m
-from wcsim.server.specs import SeatRequest, encode_json_line
+from wcsim.server.specs import SeatRequest
 from wcsim.server.transport.keys import read_client_keys, read_server_public_key
 from wcsim.types import SeatSpec
 
@@ -141,15 +141,6 @@ def _phase(what: str, words: list[str], phase_s: float) -> Generator[Phase, None
     return share
 
 
-def honest_client(order: SeatRequest, folder: Path) -> subprocess.Popen[bytes]:
-    """A client without a learner, in a process of its own, with a ledger and a list of what it saw when."""
-    file = folder / f"{order.name}.json"
-    file.write_bytes(encode_json_line(order))
-    sights = str(folder / f"{order.name}.sights")
-    words = [sys.executable, "-m", "benchmarks.soak.stub_client", str(file), "--sights", sights]
-    return subprocess.Popen(words, stdin=subprocess.DEVNULL)
-
-
 def end(client: subprocess.Popen[bytes]) -> int:
     """Ask a client to leave."""
     client.send_signal(signal.SIGTERM)
@@ -157,7 +148,7 @@ def end(client: subprocess.Popen[bytes]) -> int:
 
 
 def honest_order(endpoint: str, name: str, seat: int, folder: Path) -> SeatRequest:
-    """How an honest client joins."""
+    """How an honest client with a ledger joins."""
     return SeatRequest(
         endpoint=endpoint, name=name, claim=secrets.token_hex(16), seat=seat, ledger=str(folder / f"{name}.ledger")
     )

@@ -62,12 +62,12 @@ def read_case(name: str, request: bool, data: bytes) -> Case:
 class Besieged:
     """A server in this process, through its own loop, with an honest client on seat 0 and the attacker's door open."""
 
-    def __init__(self, work: Path, capacity: int = 3) -> None:
+    def __init__(self, work: Path) -> None:
         work.mkdir(parents=True, exist_ok=True)
         config = quick_config()
-        rules = ServerRules(capacity=capacity, lease_s=1e9, notice_s=1e9)
+        rules = ServerRules(capacity=3, lease_s=1e9, notice_s=1e9)
         order = WorldProcessSpec(town="x", config=config, seed=1, rules=rules, endpoint="", ring=str(work))
-        world = FakeWorld(WorldBuildSpec(town="x", config=config, seed=1), (None,) * capacity, 1)
+        world = FakeWorld(WorldBuildSpec(town="x", config=config, seed=1), (None,) * 3, 1)
         self.core = ServerCore(rules)
         self.doors = _Doors()
         self._lifelines = _ProcessWatch()

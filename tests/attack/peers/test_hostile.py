@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.attack.peers import hostile
-from tests.server.servers import Server, stand_in_order
+from tests.server.servers import Server, stand_in_order, start_client
 from wcsim.log.reader import iter_journal_inputs
 from wcsim.log.writer import JOURNAL
 from wcsim.server.ledger import audit_ledgers, iter_ledger_frames
@@ -34,7 +34,7 @@ def besieged(
     with Server(order, folder) as server:
         network = server.status().listening
         orders = [hostile.honest_order(order.endpoint, name, seat, folder) for seat, name in enumerate(NAMES)]
-        clients = [hostile.honest_client(item, folder) for item in orders]
+        clients = [start_client(item, folder) for item in orders]
         server.status(lambda now: now.ticks > 20)
         before_mb = server.status().rss_mb
         told = list(phases(network, keys))

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 from msgspec import inspect
 
-from tests.attack.scenarios.twists import Rng, integer, pick
+from tests.attack.scenarios.twists import Rng, holder_of, integer, pick, places
 from wcsim.server.protocol import messages as m
 
 Path = tuple[int | str, ...]  # of indices into nested arrays, and of keys
@@ -52,7 +52,7 @@ def shapes() -> tuple[Shape, ...]:
         info = inspect.type_info(kind)
         sound = sound_value(info)
         found.append(
-            Shape(kind=kind.__name__, sound=sound, places=tuple(_places(sound)), request=kind.__name__ in requests)
+            Shape(kind=kind.__name__, sound=sound, places=tuple(places(sound)), request=kind.__name__ in requests)
         )
     return tuple(found)
 
@@ -152,17 +152,6 @@ def each_field(shape: Shape) -> Iterator[tuple[Path, Any, bytes]]:
             yield place, value, msgspec.msgpack.encode(message)
 
 
-def _places(value: list[Any] | dict[str, Any], above: Path = ()) -> Iterator[Path]:
-    """Where the fields are; the tag is one of them."""
-    for index, item in value.items() if isinstance(value, dict) else enumerate(value):
-        yield (*above, index)
-        if isinstance(item, list | dict):
-            yield from _places(item, (*above, index))
-
-
 def _put(message: Any, place: Path, value: Any) -> None:
-    *above, last = place
     with contextlib.suppress(LookupError, TypeError):  # what was there is spoilt already
-        for index in above:
-            message = message[index]
-        message[last] = deepcopy(value)
+        holder_of(message, place)[place[-1]] = deepcopy(value)

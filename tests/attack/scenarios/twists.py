@@ -6,6 +6,8 @@ import re
 import shutil
 from collections.abc import Callable, Iterator
 from copy import deepcopy
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -106,15 +108,17 @@ def places(data: Any, above: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return found
 
 
+def holder_of(data: Any, at: tuple[Any, ...]) -> Any:
+    """The table or list that holds the value at this place."""
+    return reduce(getitem, at[:-1], data)
+
+
 def twisted(data: Data, rng: Rng, nasty: tuple[Any, ...] = NASTY) -> tuple[Data, str]:
     """A copy with one or two fields changed, and what was changed."""
     copy, told = msgspec.msgpack.decode(msgspec.msgpack.encode(data)), []
     for _ in range(1 + (integer(rng, 4) == 0)):
         at = pick(rng, places(copy))
-        *path, last = at
-        holder = copy
-        for key in path:
-            holder = holder[key]
+        holder, last = holder_of(copy, at), at[-1]
         match integer(rng, 8):
             case 0:
                 del holder[last]

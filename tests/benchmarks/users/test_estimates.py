@@ -22,16 +22,15 @@ DT_S, STEPS, TICK_S = 0.1 / 24, 24, 0.1
 STREET = strip_street()
 
 
-def wishes(seconds: float, seed: int = 2) -> np.ndarray:
-    """Somebody who changes their mind every 0.7 s."""
-    rng = np.random.default_rng(seed)
-    blocks = math.ceil(seconds / 0.7)
+def wishes() -> np.ndarray:
+    """Somebody who changes their mind every 0.7 s, for 40 s."""
+    rng, blocks = np.random.default_rng(2), math.ceil(40.0 / 0.7)
     return np.repeat(np.c_[rng.normal(0, 0.25, blocks), rng.choice([0.0, 0.5, 0.8], blocks)], 7, axis=0)
 
 
-def log_of(user, seconds=40.0, seed=1, stretch=1.0) -> HandLog:
+def log_of(user, seed=1, stretch=1.0) -> HandLog:
     """A hand that is given wishes; with `stretch` its clock runs wrong."""
-    hand, sticks, wanted = StickHandModel(user, make_rng(seed, "hand")), [], wishes(seconds)
+    hand, sticks, wanted = StickHandModel(user, make_rng(seed, "hand")), [], wishes()
     for x, y in wanted:
         hand.send_intent(Joystick(x, y))
         sticks.append(hand.move(STEPS, stretch * DT_S))

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.actors import actor
 from tests.support.samples import strip_street
 from tests.support.worlds import open_world, push
 from wcsim.bridge.ego.crossing_watch import SET_OUT_M, CrossingWatch, OnRoad
 from wcsim.towns.street import load_street
-from wcsim.types import ActorKind, ActorState, Joystick, SeatSpec, SignalState, StartSpec, WayKind
+from wcsim.types import ActorKind, Joystick, SeatSpec, SignalState, StartSpec, WayKind
 
 HALF_M = 0.5
 TICK_S = 0.1
@@ -34,10 +35,7 @@ def walk(tls_id="", ends=((40.0, 4.0), (40.0, -4.0))):
 
 
 def chair(x, y, yaw_rad):
-    return ActorState(
-        id="w:0", kind=ActorKind.WHEELCHAIR, p_W_m=np.array([x, y, 0.0]), yaw_rad=yaw_rad, pitch_rad=0.0,
-        v_W_mps=np.zeros(3), size_lwh_m=(2 * HALF_M, 0.6, 1.3),
-    )  # fmt: skip
+    return actor(ActorKind.WHEELCHAIR, x, y, yaw_rad, name="w:0", size=(2 * HALF_M, 0.6, 1.3))
 
 
 def light(colour):

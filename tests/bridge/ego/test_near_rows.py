@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.actors import actor
 from tests.support.samples import straight_route, strip_street
 from tests.users.kinematics import plant
 from wcsim.bridge.ego.near_rows import OWN, SOLID, STEP_DOWN, STEP_UP, WAY, WAY_ON_ROAD, near_rows
@@ -19,11 +20,7 @@ ROUTE = straight_route(5.5)
 
 
 def car(x: float, y: float, yaw: float = 0.0, speed: float = 3.0, name: str = "v:1") -> ActorState:
-    v_W = speed * np.array([math.cos(yaw), math.sin(yaw), 0.0])
-    p_W = np.array([x, y, 0.0])
-    return ActorState(
-        id=name, kind=ActorKind.CAR, p_W_m=p_W, yaw_rad=yaw, pitch_rad=0.0, v_W_mps=v_W, size_lwh_m=(4.0, 2.0, 1.5)
-    )
+    return actor(ActorKind.CAR, x, y, yaw, speed, name, (4.0, 2.0, 1.5))
 
 
 def rows_at(x: float, y: float, yaw: float = 0.0, others: tuple[ActorState, ...] = (), route=ROUTE) -> F64:

@@ -5,6 +5,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pytest
 
+from tests.support.framing import write_log
 from tests.support.worlds import quick_config
 from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.town_run import TRACE, RecordOrder, record_town
@@ -12,7 +13,6 @@ from wcsim.config import ChairConfig
 from wcsim.errors import WcsimError
 from wcsim.log.reader import read_trace_states
 from wcsim.log.records import Header, WorldState, with_fields
-from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.sumo.tools import sumo_home
 from wcsim.towns.sumo.xml_io import read_root
@@ -106,13 +106,11 @@ def test_what_cannot_be_replayed_is_refused(run, tmp_path):
         actors=np.zeros((1, 8)),
         state_hash="x",
     )
-    with LogWriter(tmp_path / "old", Header(town="o", seed=1, tick_s=0.1, seats=0, fingerprint="f")) as writer:
-        writer.append(old)
-    assert read_trace_states(tmp_path / "old")[1][0].bodies == ()
+    header = Header(town="o", seed=1, tick_s=0.1, seats=0, fingerprint="f")
+    assert read_trace_states(write_log(tmp_path / "old", header, [old]))[1][0].bodies == ()
     with pytest.raises(WcsimError, match="older version"):
         convert_to_fcd(tmp_path / "old", tmp_path / "x.xml")
     chair = with_fields(old, actor_ids=(), actors=np.zeros((0, 8)), plants=np.zeros((1, 15)), commands=np.zeros((1, 2)))
-    with LogWriter(tmp_path / "c", Header(town="o", seed=1, tick_s=0.1, seats=1, fingerprint="f")) as writer:
-        writer.append(chair)
+    bare = write_log(tmp_path / "c", with_fields(header, seats=1), [chair])
     with pytest.raises(WcsimError, match="without the sizes of actors and chairs"):
-        convert_to_fcd(tmp_path / "c", tmp_path / "x.xml")
+        convert_to_fcd(bare, tmp_path / "x.xml")

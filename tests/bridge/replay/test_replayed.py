@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.framing import read_whole
+from tests.support.framing import read_whole, write_log
 from tests.support.journals import SPEC, JournaledWorld, eventful_run, nudged, rewritten
 from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.replay.player import Seats
@@ -24,7 +24,6 @@ from wcsim.log.records import (
     make_ticked_record,
     with_fields,
 )
-from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import find_town, towns_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 
@@ -144,12 +143,12 @@ def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
         ({"config": '{"wrld": 1}'}, ConfigError, "wrld"),
     ):
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
-        LogWriter(path, with_fields(header, **change)).close()
+        write_log(path, with_fields(header, **change), ())
         with pytest.raises(kind, match=told):
             list(replayed(path))
-    LogWriter(tmp_path / "empty", header).close()
+    empty = write_log(tmp_path / "empty", header, ())
     with pytest.raises(WcsimError, match="no epoch: it is truncated"):
-        list(replayed(tmp_path / "empty"))
+        list(replayed(empty))
 
 
 def test_worlds_of_a_journal_of_several_towns_take_turns(run, corner, tmp_path, monkeypatch):
@@ -173,10 +172,8 @@ def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp
 
     def against(change=None, kept=records, head=header) -> str:
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
-        with LogWriter(path, head) as writer:
-            for number, record in enumerate(kept):
-                writer.append((change or {}).get(number, record))
-        return find_log_difference(run / "journal", path)
+        changed = ((change or {}).get(number, record) for number, record in enumerate(kept))
+        return find_log_difference(run / "journal", write_log(path, head, changed))
 
     last = len(records) - 1
     assert against() == ""
@@ -203,10 +200,7 @@ def test_the_first_difference_of_two_traces_is_told_in_words(run, tmp_path):
 
     def against(kept=ticks, head: Header = header) -> str:
         (tmp_path / "other").unlink(missing_ok=True)
-        with LogWriter(tmp_path / "other", head) as writer:
-            for tick in kept:
-                writer.append(tick)
-        return find_log_difference(run / "beside.trace", tmp_path / "other")
+        return find_log_difference(run / "beside.trace", write_log(tmp_path / "other", head, kept))
 
     def with_other(**fields) -> list:
         return [*ticks[:40], with_fields(ticks[40], **fields), *ticks[41:]]

@@ -1,5 +1,8 @@
 """What a stage says of itself, and how long it still takes."""
 
+from functools import partial
+
+import pytest
 from rich.console import Console
 
 from wcsim.cli.shared.consoles import StageBar, _time_left
@@ -38,30 +41,30 @@ def test_where_less_is_done_than_before_another_part_begins():
         assert bar.left == "about 20 s left"
 
 
-def test_a_row_fits_into_80_characters(monkeypatch, capsys):
-    made = Console
-    monkeypatch.setattr(
-        "wcsim.cli.shared.consoles.Console", lambda **asked: made(**asked, force_terminal=True, width=80)
-    )
+@pytest.fixture
+def told(monkeypatch, capsys):
+    """What a terminal of 80 columns is told."""
+    narrow = partial(Console, force_terminal=True, width=80)
+    monkeypatch.setattr("wcsim.cli.shared.consoles.Console", narrow)
+    return lambda: capsys.readouterr().err
+
+
+def test_a_row_fits_into_80_characters(told):
     now_s = [0.0]
     with StageBar("learning", clock=lambda: now_s[0]) as bar:
         bar.show(0.0, "round 1 of 2, segment 3 of 3")
         now_s[0] = 100.0
         bar.show(0.1, "round 2 of 2, update 350")
         bar.rows({"one": "segment 0-1-2, 100 s", "two": "free"})
-    told = capsys.readouterr().err
+    told = told()
     assert "about 15 min left" in told and "update 350" in told and "segment 0-1-2, 100 s" in told
     assert "…" not in told
 
 
-def test_names_beside_a_bar_are_no_markup(monkeypatch, capsys):
+def test_names_beside_a_bar_are_no_markup(told):
     """A class called Robot was shown as the picture of one, and a folder in brackets not at all."""
-    made = Console
-    monkeypatch.setattr(
-        "wcsim.cli.shared.consoles.Console", lambda **asked: made(**asked, force_terminal=True, width=80)
-    )
     with StageBar("own:Robot: of [a]") as bar:
         bar.show(0.5, "own:Robot: in [b]")
         bar.print_line("own:Robot: by [c]")
-    told = capsys.readouterr().err
+    told = told()
     assert all(f"own:Robot: {where}" in told for where in ("of [a]", "in [b]", "by [c]"))

@@ -1,15 +1,13 @@
 import pytest
 
 from tests.bridge.sumo.test_actor_kinds import ADDITIONAL, EVENTS, TYPES
-from tests.cli.conftest import parsed
+from tests.cli.conftest import QUICK, parsed
 from tests.support.menagerie import HITTING, build_street
 from tests.towns.made import hostile
 from wcsim.bridge.town_run import CrashFact
 from wcsim.cli.main import main
 from wcsim.cli.town.run import _crash_lines
 from wcsim.towns.scenario.town import find_town
-
-QUICK = ["--set", "world.warmup_s=0", "--set", "cameras.0.width_px=32", "--set", "cameras.0.height_px=24"]
 
 
 def test_a_town_runs_and_is_replayed(corner, tmp_path, capsys):

@@ -15,8 +15,11 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.fixture(scope="module")
 def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return unpacked_in(tmp_path_factory.mktemp("wheel"))
+
+
+def unpacked_in(place: Path) -> Path:
     """The wheel as pip would lay it out."""
-    place = tmp_path_factory.mktemp("wheel")
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(place), str(ROOT)]
     subprocess.run(build, check=True, capture_output=True)
     with zipfile.ZipFile(next(place.glob("*.whl"))) as wheel:

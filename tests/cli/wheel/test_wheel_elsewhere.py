@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +13,14 @@ from pathlib import Path
 import cv2
 import pytest
 
+from tests.cli.wheel.test_wheel import unpacked_in
+from tests.support.films import frames_of
+
 pytestmark = [
     pytest.mark.proof,
     pytest.mark.timeout(1500),
     pytest.mark.skipif(os.geteuid() != 0, reason="only root can run something as another user"),
 ]
-ROOT = Path(__file__).parents[3]
 LIBRARIES = Path(cv2.__file__).parents[1]
 UID = next(number for number in range(61234, 65000) if number not in {user.pw_uid for user in pwd.getpwall()})
 
@@ -78,11 +79,7 @@ def place() -> Iterator[Place]:
     with tempfile.TemporaryDirectory(prefix="wcsim-elsewhere-", dir="/tmp") as top:
         folder = Path(top)
         folder.chmod(0o755)
-        build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", top, str(ROOT)]
-        subprocess.run(build, check=True, capture_output=True)
-        site = folder / "site"
-        with zipfile.ZipFile(next(folder.glob("*.whl"))) as wheel:
-            wheel.extractall(site)
+        site = unpacked_in(folder)
         for path in (site, *site.rglob("*")):
             path.chmod(0o755 if path.is_dir() else 0o644)
         own, temporary = folder / "own", folder / "tmp"
@@ -100,7 +97,7 @@ def test_a_look_leaves_a_picture_and_a_film(place):
     done = place.run(place.own, "look", "manhattan", "--seconds", "1")
     assert done.returncode == 0, done.stderr
     assert cv2.imread(str(place.own / "look" / "manhattan.png")).std() > 5.0
-    assert cv2.VideoCapture(str(place.own / "look" / "manhattan.webm")).get(cv2.CAP_PROP_FRAME_COUNT) == 10
+    assert len(frames_of(place.own / "look" / "manhattan.webm")) == 10
     assert {path.name for path in place.own.iterdir()} == {"look"}, "no folder that is called ~"
 
 

@@ -24,9 +24,8 @@ def browser() -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def only_stage(browser: Any) -> Iterator[Stage]:
     """One for all tests of a module: to read a page anew costs a quarter of what another one costs."""
-    context = browser.new_context(viewport={"width": 1280, "height": 800}, has_touch=True)
-    yield Stage(context)
-    context.close()
+    with browser.new_context(viewport={"width": 1280, "height": 800}, has_touch=True) as context:
+        yield Stage(context)
 
 
 @pytest.fixture

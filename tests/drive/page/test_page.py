@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,19 @@ pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(1800)]
 Served = tuple[str, subprocess.Popen[str]]
 
 
+@contextmanager
+def patient(browser: Any, **options: Any) -> Iterator[Any]:
+    """A window whose pages may take long."""
+    with browser.new_context(**options) as context:
+        context.set_default_timeout(1000 * PATIENCE_S)
+        yield context
+
+
 @pytest.fixture(scope="module")
 def only_page(browser: Any, running: Served) -> Iterator[Any]:
-    context = browser.new_context(has_touch=True)
-    context.set_default_timeout(1000 * PATIENCE_S)
-    context.add_init_script(PAD)
-    yield open_page(context, running[0])
-    context.close()
+    with patient(browser, has_touch=True) as context:
+        context.add_init_script(PAD)
+        yield open_page(context, running[0])
 
 
 @pytest.fixture
@@ -152,15 +159,12 @@ def test_nothing_runs_over_the_edge_of_a_telephone(page: Any, height: int) -> No
 
 @pytest.mark.proof
 def test_a_lost_server_is_told_of(browser: Any, corner: Path) -> None:
-    with served(corner) as (address, process):
-        context = browser.new_context()
-        context.set_default_timeout(1000 * PATIENCE_S)
+    with served(corner) as (address, process), patient(browser) as context:
         page = open_page(context, address)
         process.send_signal(signal.SIGINT)
         process.wait(120)
         wait(page, "document.getElementById('line').dataset.kind === 'bad'")
         assert "Connection lost" in page.inner_text("#big")
-        context.close()
 
 
 @pytest.mark.proof
@@ -170,15 +174,12 @@ def test_an_obstacle_lights_the_lamps(browser: Any) -> None:
 
     blocks = open_suite("dev").file.blocks
     index = next(number for number, block in enumerate(blocks) if block.town == "turning-beside-drop")
-    with served(None, "--suite", "dev", "--block", str(index)) as (address, _):
-        context = browser.new_context()
-        context.set_default_timeout(1000 * PATIENCE_S)
+    with served(None, "--suite", "dev", "--block", str(index)) as (address, _), patient(browser) as context:
         page = open_page(context, address)
         page.keyboard.down("ArrowUp")
         wait(page, "document.getElementById('lamp-intervening').dataset.on === 'true'")
         wait(page, "document.querySelectorAll('#stick path.cross').length > 0")
         wait(page, "Number(document.getElementById('kpi-warnings').textContent) > 0")
-        context.close()
 
 
 @pytest.mark.proof

@@ -29,11 +29,10 @@ JOURNAL = FilmAbout(title="a journal", town="nowhere", tick_s=0.1, actions="squa
 @pytest.fixture(scope="module")
 def film(browser: Any) -> Iterator[PageAlone]:
     """The page of a film, on a phone; each test reads it anew."""
-    context = browser.new_context(viewport={"width": 390, "height": 844})
-    page = PageAlone(context, "play.html")
-    yield page
-    assert page.errors == []
-    context.close()
+    with browser.new_context(viewport={"width": 390, "height": 844}) as context:
+        page = PageAlone(context, "play.html")
+        yield page
+        assert page.errors == []
 
 
 def test_the_hint_goes_when_the_chair_drives_or_is_in_danger(stage: Stage) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.drive.page.stage import IN_CHROMIUM, axe_finds_nothing
-from tests.drive.page.test_page import open_page, picture_of, wait
+from tests.drive.page.test_page import open_page, patient, picture_of, wait
 from tests.drive.serving.served import PATIENCE_S, serving
 from wcsim.log.reader import hash_log
 
@@ -23,10 +23,8 @@ COUNT = "Number(document.body.dataset.count)"
 
 @contextmanager
 def paged(browser: Any, address: str) -> Iterator[Any]:
-    context = browser.new_context(viewport={"width": 1440, "height": 900})
-    context.set_default_timeout(1000 * PATIENCE_S)
-    yield open_page(context, address)
-    context.close()
+    with patient(browser, viewport={"width": 1440, "height": 900}) as context:
+        yield open_page(context, address)
 
 
 def test_a_journal_is_played_jumped_in_and_looked_through(browser: Any, run: Path) -> None:

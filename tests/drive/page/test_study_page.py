@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from tests.drive.page.stage import IN_CHROMIUM, axe_finds_nothing
-from tests.drive.page.test_page import go_to_page, wait
+from tests.drive.page.test_page import go_to_page, patient, wait
 from tests.drive.recording.studies import write_study
-from tests.drive.serving.served import PATIENCE_S, served
+from tests.drive.serving.served import served
 from tests.drive.serving.test_served_study import SHORT
 
 pytestmark = [*IN_CHROMIUM, pytest.mark.proof, pytest.mark.timeout(1800)]
@@ -19,11 +19,8 @@ GO = "document.getElementById('study-go')"
 @pytest.fixture
 def page(browser: Any, corner: Path, tmp_path: Path) -> Iterator[Any]:
     words = ("--study", str(write_study(tmp_path, corner, SHORT)), "--participant", "1", "--out", str(tmp_path / "out"))
-    with served(None, *words) as (address, _):
-        context = browser.new_context(viewport={"width": 1280, "height": 800})
-        context.set_default_timeout(1000 * PATIENCE_S)
+    with served(None, *words) as (address, _), patient(browser, viewport={"width": 1280, "height": 800}) as context:
         yield go_to_page(context, address)
-        context.close()
 
 
 def until_button(page: Any, text: str) -> None:

@@ -36,10 +36,12 @@ def _setting(index: int, value: float) -> Plant:
     return plant
 
 
-def _replaced(pattern: str, by: str | Callable[[re.Match[str]], str], count: int) -> Plant:
+def _replaced(pattern: str, by: str) -> Plant:
+    """Changes what is written twice."""
+
     def change(text: str) -> str:
         out, found = re.subn(pattern, by, text, flags=re.DOTALL)
-        assert found == count, f"{pattern}: found {found} times"
+        assert found == 2, f"{pattern}: found {found} times"
         return out
 
     return _text(change)
@@ -86,7 +88,7 @@ def _back(match: re.Match[str]) -> str:
 
 
 FAULTS: dict[str, tuple[Plant, str]] = {
-    "lost anti-tip": (_replaced(r'<(link|joint) name="antitip_0_r".*?</\1>', "", 2), "tip_rear_com_50cm"),
+    "lost anti-tip": (_replaced(r'<(link|joint) name="antitip_0_r".*?</\1>', ""), "tip_rear_com_50cm"),
     "hull wheels": (lambda patch: patch.setattr(pybullet, "URDF_USE_IMPLICIT_CYLINDER", 0), "event_cruise"),
     "wrong inertia": (
         _text(lambda text: re.sub(r'ixx="(\S+)" iyy="(\S+)" izz="(\S+)"', _tripled, text, count=1)),
@@ -101,7 +103,7 @@ FAULTS: dict[str, tuple[Plant, str]] = {
     "no torque curve": (_setting(drive_controller._LEAST_SHARE, 1.0), "pulling_400N"),
     "half the friction": (_half_friction, "grip"),
     "casters that lead": (
-        _replaced(r'(<child link="caster_0_."/><origin xyz=")-', r"\1", 2),
+        _replaced(r'(<child link="caster_0_."/><origin xyz=")-', r"\1"),
         "tip_forward_com_50cm",
     ),
     "wrong gravity": (lambda patch: patch.setattr(engine, "GRAVITY_MPS2", 9.0), "mass"),
@@ -109,6 +111,6 @@ FAULTS: dict[str, tuple[Plant, str]] = {
     "a beam that is stuck": (_after_loading(_stuck), "twisted_ramp_load"),
     "a beam that is stuck, to who stops": (_after_loading(_stuck), "twisted_ramp_stop"),
     "a beam that is stuck, to who turns": (_after_loading(_stuck), "twisted_ramp_turn"),
-    "small drive wheels": (_replaced(r'radius="0.178"', 'radius="0.165"', 2), "turn_in_place"),
+    "small drive wheels": (_replaced(r'radius="0.178"', 'radius="0.165"'), "turn_in_place"),
 }
 """By name: how to plant it, and the row that turns red."""

@@ -39,13 +39,13 @@ def step_grid(rise_m) -> StreetGrid:
     return raster(lambda x: rise_m if x > KERB_X_M else 0.0)
 
 
-def ramp_street(grade, length_m=8.0):
-    """Level ground, a ramp down, level ground again, with its raster."""
-    foot, low = KERB_X_M + length_m, -grade * length_m
+def ramp_street(grade):
+    """Level ground, a ramp down of 8 m, level ground again, with its raster."""
+    foot, low = KERB_X_M + 8.0, -grade * 8.0
     line = [(-20.0, 0.0), (KERB_X_M, 0.0), (foot, low), (39.0, low)]
     vertices = [(x, y, z) for x, z in line for y in (-10.0, 10.0)]
     faces = [face for i in (0, 2, 4) for face in ([i, i + 2, i + 3], [i, i + 3, i + 1])]
-    return mesh(vertices, faces, ClassId.SIDEWALK), raster(lambda x: -grade * min(max(x - KERB_X_M, 0.0), length_m))
+    return mesh(vertices, faces, ClassId.SIDEWALK), raster(lambda x: -grade * min(max(x - KERB_X_M, 0.0), 8.0))
 
 
 def driven(street, v_mps, plant="rwd"):
@@ -115,11 +115,11 @@ def test_a_lowered_kerb_with_ramps_at_its_sides(plant, x_m, y_m, yaw_deg, v_mps,
         assert drops(yard, STREET.grid, FORWARD, 60 if yaw_deg == 0.0 else 35) == falls
 
 
-def sinking(depth_m, speed_mps, seconds, ground_m=-0.12, way_m=1.0):
+def sinking(depth_m, speed_mps, seconds, ground_m):
     """Samples of one wheel that goes evenly down over the edge of a kerb, and the ground under it."""
     steps = round(seconds / SAMPLE_S)
     share = np.clip((np.arange(steps + 20) - 10) / steps, 0.0, 1.0)
-    x_m = KERB_X_M - 0.02 + way_m * share
+    x_m = KERB_X_M - 0.02 + share
     p_W_m = np.stack([x_m, np.zeros_like(x_m), 0.178 - depth_m * share], axis=1)[:, None]
     return p_W_m, np.full(len(x_m), speed_mps), step_grid(ground_m)
 

@@ -26,9 +26,9 @@ RWD, MWD = (plant_spec(ChairConfig(plant=name)) for name in ("rwd", "mwd"))
 EACH_SPEC = pytest.mark.parametrize("spec", [pytest.param(RWD, id="rwd"), pytest.param(MWD, id="mwd")])
 
 
-def user_file(folder: Path, old: str = "", new: str = "", plant: str = "rwd") -> str:
+def user_file(folder: Path, old: str, new: str) -> str:
     """A plant file of a user's own: one of ours, with some text changed."""
-    source = Path(__file__).parents[3] / "wcsim" / "config" / "plants" / f"{plant}.toml"
+    source = Path(__file__).parents[3] / "wcsim" / "config" / "plants" / "rwd.toml"
     text = source.read_text()
     assert old in text
     path = folder / "mine.toml"

@@ -24,9 +24,9 @@ CONFIG = resolve("quick", TINY)
 SPEC = SeatSpec(max_steps=12)
 
 
-def seat_of(number: int = 0, name: str = "env") -> SeatRequest:
+def seat_of(number: int = 0) -> SeatRequest:
     """An order for a seat of a world in this process."""
-    return SeatRequest(endpoint="here", name=name, claim=name, seat=number, spec=SPEC)
+    return SeatRequest(endpoint="here", name="env", claim="env", seat=number, spec=SPEC)
 
 
 @pytest.fixture

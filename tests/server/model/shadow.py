@@ -5,6 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from tests.server.model.scope import Violation
+from wcsim.server.protocol.events import (
+    AdmitSeatEffect,
+    DismissSeatEffect,
+    Effect,
+    RebuildWorldEffect,
+    RespawnSeatsEffect,
+)
 from wcsim.types import Command
 
 
@@ -56,6 +63,20 @@ class Shadow:
         if epoch != self.epoch + 1:
             raise Violation(f"rebuilt for epoch {epoch} in epoch {self.epoch}")
         return self._at(epoch, 0)
+
+    def after(self, effect: Effect) -> Shadow:
+        """The world after what is done to it between ticks."""
+        match effect:
+            case AdmitSeatEffect():
+                return self.admit(effect.seat, effect.name)
+            case DismissSeatEffect():
+                return self.dismiss(effect.seat)
+            case RespawnSeatsEffect():
+                return self.respawn(effect.seats)
+            case RebuildWorldEffect():
+                assert effect.seed >= 0
+                return self.rebuild(effect.epoch)
+        raise AssertionError(f"{effect}")
 
     def check(self, tick: int, commands: tuple[Command, ...], sticks: dict[str, float]) -> None:
         """Raise Violation unless each chair, and nothing else, has its own client's action of exactly this tick."""

@@ -13,15 +13,11 @@ from tests.server.model.view import NOTHING_SEEN, View, hear
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
 from wcsim.server.protocol.events import (
-    AdmitSeatEffect,
     BarrierState,
     ClientLostEvent,
-    DismissSeatEffect,
     Effect,
     MessageReceivedEvent,
     Peer,
-    RebuildWorldEffect,
-    RespawnSeatsEffect,
     SendMessageEffect,
     SendSensorFrameEffect,
     StepWorldEffect,
@@ -206,16 +202,10 @@ class Space:
                     at = self._post(at, effect.peer, effect.message)
                 case SendSensorFrameEffect():
                     at = self._show(at, effect)
-                case AdmitSeatEffect():
-                    at = replace(at, shadow=at.shadow.admit(effect.seat, effect.name))
-                case DismissSeatEffect():
-                    at = replace(at, shadow=at.shadow.dismiss(effect.seat))
-                case RespawnSeatsEffect():
-                    at = replace(at, shadow=at.shadow.respawn(effect.seats))
-                case RebuildWorldEffect():
-                    at = replace(at, shadow=at.shadow.rebuild(effect.epoch))
                 case StepWorldEffect():
                     at.shadow.check(effect.tick, effect.commands, self.sticks)
+                case _:
+                    at = replace(at, shadow=at.shadow.after(effect))
         return at
 
     def _names_the_master(self, at: World, message: m.Reply) -> None:

@@ -247,7 +247,7 @@ class AnyRequests(RuleBasedStateMachine):
             elif isinstance(effect, SendSensorFrameEffect):
                 assert self.world.at(effect.seat) is not None
             elif not isinstance(effect, SendMessageEffect):
-                self.world = changed(self.world, effect)
+                self.world = self.world.after(effect)
 
     @rule(session=SESSIONS, seat=NUMBERS, claim=st.binary(max_size=2))
     def join(self, session: bytes, seat: int, claim: bytes) -> None:
@@ -293,21 +293,6 @@ class AnyRequests(RuleBasedStateMachine):
         assert self.core.stage in (BarrierState.EMPTY, BarrierState.COLLECT)
         there = {member.seat for member in self.core.roster.members} | set(self.core.roster.going)
         assert {chair.seat for chair in self.world.chairs} == there
-
-
-def changed(world: Shadow, effect: Effect) -> Shadow:
-    """The world after what is done to it between ticks."""
-    match effect:
-        case AdmitSeatEffect():
-            return world.admit(effect.seat, effect.name)
-        case DismissSeatEffect():
-            return world.dismiss(effect.seat)
-        case RespawnSeatsEffect():
-            return world.respawn(effect.seats)
-        case RebuildWorldEffect():
-            assert effect.seed >= 0
-            return world.rebuild(effect.epoch)
-    raise AssertionError(f"{effect}")
 
 
 TestAnyRequests = AnyRequests.TestCase

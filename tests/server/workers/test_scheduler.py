@@ -13,7 +13,7 @@ from typing import Any
 import psutil
 import pytest
 
-from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, refuse
+from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, refuse, workers
 from tests.support.yardstick import waited
 from wcsim.core.processes import kill_workers, start_single_worker_pool
 from wcsim.errors import DiskFullError, TownError, WorkersError
@@ -231,19 +231,12 @@ def test_a_full_disk_is_raised_where_it_is_waited_for():
         do(scheduler, "a")
 
 
-def is_worker(process: psutil.Process) -> bool:
-    try:
-        return "spawn_main" in " ".join(process.cmdline())
-    except (psutil.NoSuchProcess, psutil.ZombieProcess):  # it has ended meanwhile
-        return False
-
-
 def test_closing_leaves_no_process(tmp_path: Path):
     with WorkScheduler(_ProcessWorkers(1), drop) as scheduler:
         scheduler.submit([work("a"), work("b", hang_once, str(tmp_path / "once"))])
         done_by(scheduler, {"a"})
         time.sleep(0.3)
-    waited(lambda: not any(map(is_worker, psutil.Process().children())), 10.0)
+    waited(lambda: not workers(), 10.0)
 
 
 LEADER = """

@@ -6,11 +6,24 @@ import time
 from pathlib import Path
 from typing import Any
 
+import psutil
 import zstandard
 
 from wcsim.errors import TownError
 from wcsim.server.workers.cluster_node import MOST_BYTES, _unpack
 from wcsim.server.workers.machines import ToLocalPath
+
+
+def workers() -> list[psutil.Process]:
+    """The processes of pools that work for this one."""
+    return [child for child in psutil.Process().children() if _is_worker(child)]
+
+
+def _is_worker(process: psutil.Process) -> bool:
+    try:
+        return "spawn_main" in " ".join(process.cmdline())
+    except (psutil.NoSuchProcess, psutil.ZombieProcess):  # it has ended meanwhile
+        return False
 
 
 def echo(piece: Any, at: ToLocalPath) -> bytes:

@@ -42,6 +42,12 @@ def theirs(tmp_path: Path) -> Town:
     return open_town(sumocfg)
 
 
+def grid(folder: Path, count: int = 3, speed_mps: float = 13.8) -> Town:
+    """A scenario without pavements or pedestrians."""
+    words = ("--grid", "--grid.number", str(count), "--grid.length", "60")
+    return open_town(made(folder, words, persons=False, speed_mps=speed_mps))
+
+
 def asked(command: str) -> tuple[int, str]:
     """What `typed` gives of a `wcsim` command, asked in this process."""
     with redirect_stdout(StringIO()) as said, redirect_stderr(said):
@@ -57,11 +63,10 @@ def named(town: Town, old: str, new: str) -> Town:
     return open_town(town.sumocfg)
 
 
-def _apart(path: Path, tag: str) -> None:
-    """Drop the elements of a kind from a file."""
+def _without_calibrators(path: Path) -> None:
     tree = ElementTree.parse(path)  # noqa: S314 - our own
     root = tree.getroot()
-    for element in root.findall(tag):
+    for element in root.findall("calibrator"):
         root.remove(element)
     tree.write(path)
 
@@ -79,7 +84,7 @@ def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_pa
     assert _unroutable_trips(theirs) == 2
     (fault,) = _faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
     assert "move each <calibrator> of u.add.xml into a file of its own" in fault
-    _apart(theirs.folder / "u.add.xml", "calibrator")
+    _without_calibrators(theirs.folder / "u.add.xml")
     (fault,) = _faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
     code, said = typed(printed(fault, "to drop or repair them"), tmp_path)
     assert code == 0, said
@@ -113,7 +118,7 @@ def test_trips_between_districts_find_them(theirs: Town, tmp_path: Path) -> None
     more.write_text(more.read_text(encoding="utf-8").replace("</additional>", districts), encoding="utf-8")
     _with_an_island(theirs.net)
     assert _unroutable_trips(theirs) == 1
-    _apart(more, "calibrator")
+    _without_calibrators(more)
     code, said = typed(Cures(theirs).routes().partition(": ")[2], tmp_path)
     assert code == 0, said
     text = (theirs.folder / "better.rou.xml").read_text(encoding="utf-8")
@@ -174,9 +179,7 @@ def test_walkers_come_in_the_scenarios_first_hour_at_most(theirs: Town) -> None:
 
 def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    fast = open_town(
-        made(tmp_path / "fast", ("--grid", "--grid.number", "3", "--grid.length", "60"), persons=False, speed_mps=25.0)
-    )
+    fast = grid(tmp_path / "fast", speed_mps=25.0)
     (fault,) = _faults_of(fast, read_net(fast.net), replace(FINE, walkingareas=0))
     command = printed(fault, "add pavements")
     assert (
@@ -190,7 +193,7 @@ def test_the_cure_of_a_check_and_of_a_paved_copy_is_one_that_works(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    mixed = open_town(made(tmp_path / "mixed", ("--grid", "--grid.number", "2", "--grid.length", "60"), persons=False))
+    mixed = grid(tmp_path / "mixed", 2)
     root = ElementTree.parse(mixed.net)  # noqa: S314 - our own
     for lane in root.iterfind("./edge/lane"):
         if not lane.get("id", "").startswith(("A0A1", ":")):
@@ -208,7 +211,7 @@ def test_the_cure_of_a_check_and_of_a_paved_copy_is_one_that_works(
 
 def test_a_park_gets_walking_areas(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    park = open_town(made(tmp_path / "park", ("--grid", "--grid.number", "3", "--grid.length", "60"), persons=False))
+    park = grid(tmp_path / "park")
     text = park.net.read_text(encoding="utf-8").replace(' speed="', ' allow="pedestrian" speed="')
     park.net.write_text(text, encoding="utf-8")
     park.routes[0].write_text('<routes><person id="p" depart="0"><walk edges="A0A1"/></person></routes>')
@@ -218,7 +221,7 @@ def test_a_park_gets_walking_areas(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> None:
-    rails = open_town(made(tmp_path / "rails", ("--grid", "--grid.number", "3", "--grid.length", "60"), persons=False))
+    rails = grid(tmp_path / "rails")
     text = rails.net.read_text(encoding="utf-8").replace(' speed="', ' allow="tram" speed="')
     rails.net.write_text(text, encoding="utf-8")
     (fault,) = (fault for fault in _faults_of(rails, read_net(rails.net), replace(FINE, walkingareas=0)))

@@ -27,10 +27,10 @@ from wcsim.towns.sumo.xml_io import read_bytes
 BOX = Box(7.4175, 43.7368, 7.4249, 43.7422)
 
 
-def write_tiff(path: Path, crs: str | None, *, lift_m: float = 0.0, hole: bool = False, width: int = 240) -> Path:
+def write_tiff(path: Path, crs: str | None, *, hole: bool = False, width: int = 240) -> Path:
     """Land that rises 5 cm a metre to the east of UTM zone 32's 370 km, in cells of 10 m."""
     x_m = 371_500.0 + 10.0 * np.arange(width)
-    height_m = np.broadcast_to(0.05 * (x_m - 371_500.0) + lift_m, (240, width)).astype(np.float32).copy()
+    height_m = np.broadcast_to(0.05 * (x_m - 371_500.0), (240, width)).astype(np.float32).copy()
     if hole:
         height_m[100:130, 100:130] = -9999.0
     place = Affine(10.0, 0.0, 371_495.0, 0.0, -10.0, 4_845_700.0)

@@ -59,18 +59,26 @@ def generated(folder: Path, *options: str) -> Net:
 def hilly(net: Path, out: Path, height_m: Callable[[float, float], float]) -> Path:
     """The same net with every shape lifted to a land of this height."""
 
-    def lifted(match: re.Match[str]) -> str:
-        places = [tuple(float(v) for v in part.split(",")[:2]) for part in match[2].split()]
-        return f'{match[1]}"' + " ".join(f"{x:.2f},{y:.2f},{height_m(x, y):.2f}" for x, y in places) + '"'
+    return moved(net, out, lambda x, y: f"{x:.2f},{y:.2f},{height_m(x, y):.2f}")
 
-    out.write_text(re.sub(r'( shape=)"([^"]+)"', lifted, net.read_text()))
+
+def moved(net: Path, out: Path, place: Callable[[float, float], str]) -> Path:
+    """The same net with these places in every shape."""
+
+    def shape(match: re.Match[str]) -> str:
+        places = [tuple(float(v) for v in part.split(",")[:2]) for part in match[1].split()]
+        return ' shape="' + " ".join(place(x, y) for x, y in places) + '"'
+
+    text, count = re.subn(r' shape="([^"]+)"', shape, net.read_text())
+    assert count
+    out.write_text(text)
     return out
 
 
-def spiral(turns: int = 3, radius: float = 18.0, climb: float = 5.0) -> str:
-    """A ramp that winds up over itself."""
-    at = [2.0 * math.pi * k / 24 for k in range(24 * turns + 1)]
-    places = [f"{radius * math.cos(a):.2f},{radius * math.sin(a):.2f},{climb * a / 2 / math.pi:.2f}" for a in at]
+def spiral() -> str:
+    """A ramp that winds up over itself three times."""
+    at = [2.0 * math.pi * k / 24 for k in range(24 * 3 + 1)]
+    places = [f"{18.0 * math.cos(a):.2f},{18.0 * math.sin(a):.2f},{5.0 * a / 2 / math.pi:.2f}" for a in at]
     return edge("spiral", lane(" ".join(places)))
 
 

@@ -41,6 +41,11 @@ def paved(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return before.parent, folder / "ours", pave_town(open_town(before), folder / "ours")
 
 
+def ours_of(theirs: Path) -> Paved:
+    """The paved copy beside a scenario."""
+    return pave_town(open_town(theirs), theirs.parents[1] / "ours")
+
+
 def place_of(net: sumolib.net.Net, lane: str, text: str) -> tuple[float, float]:
     """Where a position lies, by SUMO's own library."""
     found = net.getLane(lane)
@@ -108,7 +113,7 @@ def test_signal_programs_in_the_net_stay_the_authors_too(theirs: Path, tmp_path:
     net = theirs.with_name("u.net.xml")
     text = net.read_text().replace('type="static" programID="0" offset="0"', OWN_PROGRAM)
     net.write_text(text.replace('duration="42"', 'duration="30" name="drive"'))
-    told = pave_town(open_town(theirs), tmp_path / "ours")
+    told = ours_of(theirs)
     places = (net.parent, tmp_path / "ours")
     old, new = ([item for item in elements(place, net.name) if item.tag == "tlLogic"] for place in places)
     assert len(old) == 9 and told.programs == len(old) + 1  # one lies in an additional file
@@ -142,14 +147,14 @@ def theirs(tmp_path: Path) -> Path:
     return write_unpaved(tmp_path / "theirs")
 
 
-def test_a_net_without_lanes_within_junctions_gets_crossings_too(theirs: Path, tmp_path: Path) -> None:
+def test_a_net_without_lanes_within_junctions_gets_crossings_too(theirs: Path) -> None:
     tool_output("netconvert", ["-s", "u.net.xml", "--no-internal-links", "-o", "u.net.xml"], theirs.parent)
-    told = pave_town(open_town(theirs), tmp_path / "ours")
+    told = ours_of(theirs)
     assert told.crossings > 0 and told.walkingareas > 0
     assert any("lanes inside junctions were added" in note for note in told.notes)
 
 
-def test_a_net_of_any_number_of_paths_is_paved(theirs: Path, tmp_path: Path) -> None:
+def test_a_net_of_any_number_of_paths_is_paved(theirs: Path) -> None:
     ways = range(800)  # their names are more than the 128 KiB that a word of a command line has room for
     nodes = "".join(f'<node id="p{i}" x="{900 + 20 * i}" y="900"/>' for i in (*ways, len(ways)))
     edges = "".join(f'<edge id="{"way" * 60}#{i}" from="p{i}" to="p{i + 1}" allow="bicycle"/>' for i in ways)
@@ -157,15 +162,15 @@ def test_a_net_of_any_number_of_paths_is_paved(theirs: Path, tmp_path: Path) -> 
         theirs.with_name(name).write_text(f"<{kind}>{text}</{kind}>")
     options = ["-s", "u.net.xml", "-n", "i.nod.xml", "-e", "i.edg.xml", "-o", "u.net.xml"]
     tool_output("netconvert", options, theirs.parent)
-    told = pave_town(open_town(theirs), tmp_path / "ours")
+    told = ours_of(theirs)
     assert told.streets == 24
 
 
-def test_a_lane_that_is_not_there_is_refused_by_name(theirs: Path, tmp_path: Path) -> None:
+def test_a_lane_that_is_not_there_is_refused_by_name(theirs: Path) -> None:
     text = theirs.with_name("u.add.xml").read_text()
     theirs.with_name("u.add.xml").write_text(text.replace('lane="B0A0_0"', 'lane="B0A0_7"'))
     with pytest.raises(TownError, match=r"u\.add\.xml: parkingArea 'park': names lane 'B0A0_7'"):
-        pave_town(open_town(theirs), tmp_path / "ours")
+        ours_of(theirs)
 
 
 def test_a_town_keeps_what_sumo_has_no_word_for(theirs: Path, tmp_path: Path) -> None:
@@ -216,7 +221,7 @@ DISTRIBUTIONS = """<routes>
 
 def test_who_drives_one_of_several_routes_departs_from_the_lane_that_was_meant(theirs: Path, tmp_path: Path) -> None:
     theirs.with_name("u.rou.xml").write_text(DISTRIBUTIONS)
-    told = pave_town(open_town(theirs), tmp_path / "ours")
+    told = ours_of(theirs)
     found = {element.get("id"): element for element in elements(tmp_path / "ours", "u.rou.xml")}
     assert [found[f"f{k}"].get("departLane") for k in range(4)] == ["1", "2", "1", "2"]
     assert found["f2"].get("arrivalLane") == "2"
@@ -256,7 +261,7 @@ def never_green(told: Paved) -> list[str]:
     return [note for note in told.notes if "never get green" in note]
 
 
-def test_a_crossing_that_is_never_green_is_told(paved: tuple[Path, Path, Paved], theirs: Path, tmp_path: Path) -> None:
+def test_a_crossing_that_is_never_green_is_told(paved: tuple[Path, Path, Paved], theirs: Path) -> None:
     _, _, told = paved
     (note,) = never_green(told)  # B1 has room for walkers, in its additional file
     assert (
@@ -274,7 +279,7 @@ def test_a_crossing_that_is_never_green_is_told(paved: tuple[Path, Path, Paved],
     )
     signals = theirs.parent / "signals" / "u.tll.xml"
     signals.write_text(f"<additional>{logics}</additional>")
-    (note,) = never_green(pave_town(open_town(theirs), tmp_path / "ours"))  # no program in the net is in force
+    (note,) = never_green(ours_of(theirs))  # no program in the net is in force
     assert "program in an additional file" in note and re.findall(r"over \w+ at (\w+)", note) == ["B1"] * 4
     assert "add a phase there" in note and "--tls.rebuild" not in note
 
@@ -283,7 +288,7 @@ def test_no_ring_of_a_nema_controller_lets_walkers_go(tmp_path: Path) -> None:
     theirs = write_unpaved(tmp_path / "theirs", signals="NEMA")
     text = theirs.read_text().replace(",signals/u.tll.xml", "")
     theirs.write_text(text)
-    told = pave_town(open_town(theirs), tmp_path / "ours")
+    told = ours_of(theirs)
     old, new = (
         {logic.get("id"): logic for logic in elements(place, "u.net.xml") if logic.get("type") == "NEMA"}
         for place in (theirs.parent, tmp_path / "ours")

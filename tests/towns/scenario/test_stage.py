@@ -23,6 +23,10 @@ def staged_in(tmp_path: Path, sumocfg: Path) -> Scenario:
     return stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
 
 
+def made_in(tmp_path: Path) -> set[str]:
+    return {path.name for path in (tmp_path / "run").iterdir()}
+
+
 def run_staged(sumocfg: Path, seconds: float = 12.0) -> None:
     run = run_tool("sumo", ["-c", str(sumocfg), "--end", str(seconds)], sumocfg.parent)
     assert run.returncode == 0, run.output[-1500:]
@@ -71,7 +75,7 @@ def test_no_element_can_write_outside_the_folder(write_theirs: WriteScenario, la
     more = f"<additional>{hostile.hostile_additional(lane, '../escape')}</additional>"
     (tmp_path / "theirs" / "more.xml").write_text(more, encoding="utf-8")
     assert_nothing_escapes(sumocfg, escape, tmp_path)
-    made = {path.name for path in (tmp_path / "run").iterdir()}
+    made = made_in(tmp_path)
     wanted = {"e1.xml", "instant.xml", "e2.xml", "e3.xml", "edges.xml", "lanes.xml", "probe.xml", "routes.xml"}
     assert wanted | {"calibrator.xml", "own.xml"} <= made
     copy = (tmp_path / "run" / "inputs" / "more.xml").read_text()
@@ -83,7 +87,7 @@ def test_a_socket_and_the_console_become_files(write_theirs: WriteScenario, tmp_
     options += '<error-log value="NUL"/>'
     staged = staged_in(tmp_path, write_theirs(options))
     run_staged(staged.sumocfg, 2.0)
-    names = {path.name for path in (tmp_path / "run").iterdir()}
+    names = made_in(tmp_path)
     assert names == {"a.sumocfg", "localhost_9999", "tripinfo-output.xml", "sumo-warnings.log"}
 
 
@@ -134,7 +138,7 @@ def test_what_writes_nothing_is_read_where_it_lies(write_theirs: WriteScenario, 
     )
     sumocfg = write_theirs("", more)
     staged = staged_in(tmp_path, sumocfg)
-    assert {path.name for path in (tmp_path / "run").iterdir()} == {"a.sumocfg"}
+    assert made_in(tmp_path) == {"a.sumocfg"}
     text = staged.sumocfg.read_text()
     for name in ("a.net.xml", "a.rou.xml", "a.add.xml"):
         assert f'value="{tmp_path / "theirs" / name}"' in text
@@ -160,7 +164,7 @@ def test_compressed_files_and_other_outputs_are_taken(write_theirs: WriteScenari
     add.write_bytes(gzip.compress(add.read_bytes()))
     staged = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run", ("fcd", "tripinfo"))
     run_staged(staged.sumocfg, 3.0)
-    assert {"edges.xml.gz", "fcd.xml", "tripinfo.xml"} <= {path.name for path in (tmp_path / "run").iterdir()}
+    assert {"edges.xml.gz", "fcd.xml", "tripinfo.xml"} <= made_in(tmp_path)
     with pytest.raises(ConfigError, match=r"no such output; expected .*fcd"):
         stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "other", ("fdc",))
 

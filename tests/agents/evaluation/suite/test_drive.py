@@ -1,6 +1,7 @@
 """A block of a suite, driven in a street corner: how episodes end, whatever a policy does."""
 
 from dataclasses import fields
+from functools import partial
 
 import pytest
 
@@ -25,6 +26,7 @@ from wcsim.agents.evaluation.suite.alarms import _users_alone
 from wcsim.agents.evaluation.suite.drive import Piece, drive_block, refused
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.policies.baselines import make_baseline_policy
+from wcsim.agents.policies.dwa import VetoPolicy
 from wcsim.bridge.world_rollout import rollout
 from wcsim.types import SeatSpec
 from wcsim.users.user import SimulatedUser
@@ -83,10 +85,12 @@ def test_before_the_handover_the_user_drives_alone(corner):
         assert record.reference_s / episode.reference_s == pytest.approx(record.route_m / episode.route_m, rel=1e-3)
 
 
-def test_one_call_judges_what_all_chairs_see_that_have_chosen_once(corner, monkeypatch):
+@pytest.mark.parametrize("wrapped", [lambda held, _: held, partial(VetoPolicy, "veto:held")], ids=["alone", "veto"])
+def test_one_call_judges_what_all_chairs_see_that_have_chosen_once(corner, monkeypatch, wrapped):
     judged = []
     monkeypatch.setattr(Held, "judge_together", lambda _, seen: judged.append(len(seen)) or 1 / 0, raising=False)
-    drive_block(*order_of(corner, block_of(corner, max_steps=6, handover=2)), Held)
+    piece, place = order_of(corner, block_of(corner, max_steps=6, handover=2))
+    drive_block(piece, place, lambda: wrapped(Held(), place.config))
     assert judged == [2, 2, 2]
 
 

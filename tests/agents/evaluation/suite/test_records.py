@@ -14,6 +14,11 @@ GOOD = EpisodeRecord(
 )  # fmt: skip
 
 
+@pytest.fixture
+def alarms():
+    return Alarms(0.1)
+
+
 def test_the_score_is_way_times_pace_times_obedience():
     assert GOOD.score == pytest.approx(1.0 * 0.8 * 0.75)
     assert replace(GOOD, time_s=4.0).score == pytest.approx(0.75)  # faster than unhindered is no better
@@ -49,8 +54,7 @@ def test_in_a_tight_place_any_crash_is_one_and_standing_in_danger_is_half_of_mov
     assert replace(GOOD, stood_steps=80).score == GOOD.score
 
 
-def test_a_record_comes_back_from_json_and_anything_else_is_refused():
-    alarms = Alarms(0.1)
+def test_a_record_comes_back_from_json_and_anything_else_is_refused(alarms):
     alarms.begin(3, True, False)
     alarms.alone_s[3] = 2.0
     record = replace(GOOD, interventions=alarms.interventions())
@@ -62,15 +66,13 @@ def test_a_record_comes_back_from_json_and_anything_else_is_refused():
             record_of(other)
 
 
-def test_gaps_under_half_a_second_join_interventions():
-    alarms = Alarms(0.1)
+def test_gaps_under_half_a_second_join_interventions(alarms):
     begun = [alarms.begin(step, True, False) for step in (10, 11, 16, 22)]  # 4 and 5 steps between
     assert begun == [True, False, False, True]
     assert [(item.first, item.last) for item in alarms.interventions()] == [(10, 16), (22, 22)]
 
 
-def test_the_verdict_of_a_fork_is_that_of_its_intervention():
-    alarms = Alarms(0.1)
+def test_the_verdict_of_a_fork_is_that_of_its_intervention(alarms):
     for step, alone_s in ((10, 1.2), (30, None)):
         alarms.begin(step, True, False)
         alarms.alone_s[step] = alone_s
@@ -79,14 +81,12 @@ def test_the_verdict_of_a_fork_is_that_of_its_intervention():
     assert found == [("needed", 1.2), ("needless", None), ("not_judged", None)]
 
 
-def test_a_crash_is_missed_when_nothing_was_done_in_the_five_seconds_before():
-    alarms = Alarms(0.1)
+def test_a_crash_is_missed_when_nothing_was_done_in_the_five_seconds_before(alarms):
     alarms.begin(20, True, False)
     assert not alarms.missed(70) and alarms.missed(71)
 
 
-def test_warnings_count_a_second_ahead_and_are_false_where_nothing_came():
-    alarms = Alarms(0.1)
+def test_warnings_count_a_second_ahead_and_are_false_where_nothing_came(alarms):
     for step in (40, 41, 42):
         alarms.begin(step, False, True)
     assert alarms.warnings(52) == (1, 1, 0)
@@ -101,8 +101,7 @@ def test_warnings_count_a_second_ahead_and_are_false_where_nothing_came():
     "crashes, dangers",
     [((50,), 1), ((50, 50), 1), ((50, 59), 1), ((50, 59, 68), 1), ((50, 60), 2), ((70, 50, 55), 2)],
 )
-def test_crashes_less_than_a_second_apart_are_one_danger(crashes, dangers):
-    alarms = Alarms(0.1)
+def test_crashes_less_than_a_second_apart_are_one_danger(alarms, crashes, dangers):
     alarms.begin(20, False, True)
     for number, step in enumerate(crashes):
         alarms.alone_s[20 + number] = 0.1 * (step - 20 - number)
@@ -110,16 +109,14 @@ def test_crashes_less_than_a_second_apart_are_one_danger(crashes, dangers):
     assert alarms.warnings(crashes[0])[1] == dangers, "an own crash that a fork saw come is the same one"
 
 
-def test_one_crash_that_was_warned_of_and_one_that_was_not_are_two_dangers():
-    alarms = Alarms(0.1)
+def test_one_crash_that_was_warned_of_and_one_that_was_not_are_two_dangers(alarms):
     alarms.begin(100, False, True)
     alarms.alone_s[100] = 3.0
     assert alarms.warnings(130) == (1, 1, 0)
     assert Alarms(0.1).warnings(130) == (0, 1, 0)
 
 
-def test_a_warning_before_a_crash_by_the_others_fault_is_not_false():
-    alarms = Alarms(0.1)
+def test_a_warning_before_a_crash_by_the_others_fault_is_not_false(alarms):
     alarms.begin(100, False, True)
     alarms.alone_s[100] = None
     assert alarms.warnings(None, 130) == (0, 0, 0)

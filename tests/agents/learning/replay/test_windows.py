@@ -28,6 +28,7 @@ from tests.agents.toy import (
     train_toy,
 )
 from tests.support.samples import ACTIONS, stacked
+from tests.support.worlds import QUICK
 from wcsim.agents.envs.episode_view import FrameStacker, trim_frame_window, window_observation_space
 from wcsim.agents.learning.build import build_q_learner, default_settings_for_network
 from wcsim.agents.learning.checkpoint import _check_fit, _replay_arrays, _restore_replay, save_checkpoint
@@ -82,10 +83,9 @@ def test_a_window_of_one_changes_nothing():
 
 def test_the_environment_gives_the_images_that_it_gives_one_by_one(corner):
     """The terminal observation has the old window, and the first of an episode is full of its own image."""
-    common = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24", "env.max_steps=8")
 
     def drive(*overrides):
-        env = gym.make(wcsim.ENV_ID, town=str(corner), overrides=(*common, *overrides))
+        env = gym.make(wcsim.ENV_ID, town=str(corner), overrides=(*QUICK, "env.max_steps=8", *overrides))
         try:
             seen, turn = [env.reset(seed=3)[0]], ACTIONS.nearest((1.0, 0.0))
             for _ in range(2):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.framing import write_log
 from tests.support.journals import JournaledWorld
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
@@ -112,10 +113,7 @@ def test_a_part_that_is_put_aside_is_read_to_its_end(kept: Path, tmp_path: Path)
     )
 
     def script() -> Iterator[None]:
-        with LogWriter(journal, read_header(kept)) as writer:
-            for record in records[:second]:
-                writer.append(record)
-            writer.append(Ended(reason=f"{EPOCH_OVER}: tick 30"))
+        write_log(journal, read_header(kept), [*records[:second], Ended(reason=f"{EPOCH_OVER}: tick 30")])
         yield from (None for _ in range(8))
         rotate_log(journal)
         yield
@@ -150,8 +148,7 @@ def damaged(whole: bytes) -> bytearray:
 
 
 def test_a_hook_is_not_loaded_because_a_journal_names_it(kept: Path, tmp_path: Path) -> None:
-    with LogWriter(tmp_path / "journal", with_fields(read_header(kept), hook="own:Hook")):
-        pass
+    write_log(tmp_path / "journal", with_fields(read_header(kept), hook="own:Hook"), ())
     with pytest.raises(ConfigError, match="a hook is code"):
         Watched(tmp_path, iter([None])).follow()
 
@@ -184,12 +181,10 @@ def test_what_is_written_between_two_looks_at_a_part_that_ends_is_read(
                 for record in late.pop():
                     writer.append(record)
             rotate_log(journal)
-            LogWriter(journal, header).close()
+            write_log(journal, header, ())
         return is_over(tail)
 
-    with LogWriter(journal, header) as writer:
-        for record in records[:3]:
-            writer.append(record)
+    write_log(journal, header, records[:3])
     monkeypatch.setattr(LogFollower, "_is_rotated", stood_meanwhile)
     with LogFollower(journal) as tail:
         assert tail.read() == records[:3]

@@ -24,6 +24,7 @@ from wcsim.agents.evaluation.suite.records import (
     Records,
 )
 from wcsim.agents.opening.list_file import BlockSetup, make_episode_seat_spec
+from wcsim.agents.policies.dwa import VetoPolicy
 from wcsim.agents.policy_api import Observation, Policy, Warns
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
@@ -119,8 +120,9 @@ def _judge_together(seats: Sequence["_Seat"]) -> None:
     """Before a tick: one call of the network for all seats that one drives by now."""
     groups = defaultdict[str, list[tuple[_JudgesTogether, Observation]]](list)
     for seat in seats:
-        if seat.is_taken_over and isinstance(seat.policy, _JudgesTogether):
-            groups[seat.policy.name].append((seat.policy, seat.observation))
+        policy = seat.policy.inner if isinstance(seat.policy, VetoPolicy) else seat.policy
+        if seat.is_taken_over and isinstance(policy, _JudgesTogether):
+            groups[policy.name].append((policy, seat.observation))
     for group in groups.values():
         # Who fails here fails again when it chooses, and alone: the others of the block go on.
         with suppress(Exception):
