@@ -14,7 +14,7 @@ import pytest
 
 from tests.cli.conftest import QUICK, Result, files_in
 from tests.cli.towns import TINY_BBOX, tiny_osm
-from tests.support.films import frames_of
+from tests.view.films import frames_of
 from wcsim.agents.evaluation.suite.make import town_list
 from wcsim.agents.opening.list_file import write_list
 from wcsim.cli import doctor

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.support.films import frames_of
 from tests.support.samples import strip_street
 from tests.support.worlds import quick_config
+from tests.view.films import frames_of
 from wcsim.agents.evaluation.suite.playback import PlayedStep
 from wcsim.supervisor.observation import encode_depth
 from wcsim.supervisor.palette import COLOURS

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from tests.physics.renderer.render_oracle import actor
-from tests.support.films import frames_of
 from tests.support.one_process import files_of_at_most
 from tests.support.plants import plant_state
 from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
+from tests.view.films import frames_of
 from wcsim.core.files import write_file_atomically
 from wcsim.errors import ConfigError, DiskFullError
 from wcsim.physics.renderer.instances import chair_pose

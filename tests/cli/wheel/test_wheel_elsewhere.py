@@ -14,7 +14,7 @@ import cv2
 import pytest
 
 from tests.cli.wheel.test_wheel import unpacked_in
-from tests.support.films import frames_of
+from tests.view.films import frames_of
 
 pytestmark = [
     pytest.mark.proof,
