@@ -99,7 +99,7 @@ def write_scene(family: str, seed: int, folder: Path) -> Path:
         raise ConfigError(f"{folder} already exists; choose another name, or remove it first")
     rng = seeding.make_rng(seed, "scene", family)
     flipped = bool(rng.integers(2))
-    draft = _DRAWN[family](rng)
+    draft = (_USUAL | _NEARER)[family](rng)
     draft = mirrored(draft) if flipped else draft
     files = files_of(draft, f"{family}-{seed}", seeding.derive_seed(seed, "scene", family))
     with write_folder_atomically(folder, flush=False) as part:
@@ -108,13 +108,16 @@ def write_scene(family: str, seed: int, folder: Path) -> Path:
     return folder
 
 
-def _reversing_off_kerb(rng: np.random.Generator) -> Draft:
+def _reversing_off_kerb(rng: np.random.Generator, near: bool = False) -> Draft:
     """The chair stands across the pavement, its back to the road, and is backed up too far."""
     pavement = Pavement(width_m=rng.uniform(2.4, 3.2))
     heading_deg = rng.uniform(145.0, 215.0)
-    start_m = (rng.uniform(-20.0, 0.0), pavement.at(rng.uniform(0.6, 1.1)))
+    start_m = (
+        rng.uniform(-20.0, 0.0),
+        pavement.at(rng.uniform(*((0.4, 0.6) if near else (0.6, 1.1)))),
+    )
     begin_s, back_s = rng.uniform(0.4, 1.2), rng.uniform(3.5, 5.0)
-    back = float(rng.choice((-0.75, -1.0)))
+    back = -1.0 if near else float(rng.choice((-0.75, -1.0)))
     stick = (
         Push(begin_s, float(rng.choice((-0.25, 0.0, 0.25))), back),
         Push(begin_s + back_s, 0.0, 0.0),
@@ -134,11 +137,14 @@ def _reversing_off_kerb(rng: np.random.Generator) -> Draft:
     )
 
 
-def _turning_beside_drop(rng: np.random.Generator) -> Draft:
+def _turning_beside_drop(rng: np.random.Generator, near: bool = False) -> Draft:
     """The chair is turned beside the kerb, over it or, backing up, back over it."""
     pavement = Pavement(width_m=rng.uniform(2.0, 3.0))
     backs_up = bool(rng.integers(2))
-    start_m = (rng.uniform(-20.0, 0.0), pavement.at(rng.uniform(0.5, 0.75)))
+    start_m = (
+        rng.uniform(-20.0, 0.0),
+        pavement.at(rng.uniform(*((0.38, 0.5) if near else (0.5, 0.75)))),
+    )
     turns_s = rng.uniform(0.4, 1.0)
     done_s = turns_s + (rng.uniform(3.0, 4.0) if backs_up else rng.uniform(1.2, 1.8))
     right, forward = (0.5, -0.75) if backs_up else (-0.5, float(rng.choice((0.25, 0.5))))
@@ -161,12 +167,15 @@ def _turning_beside_drop(rng: np.random.Generator) -> Draft:
     )
 
 
-def _twisted_ramp(rng: np.random.Generator) -> Draft:
+def _twisted_ramp(rng: np.random.Generator, near: bool = False) -> Draft:
     """A pavement climbs and leans towards the road, and the user's hand pulls to that side."""
     pavement = Pavement(width_m=rng.uniform(1.8, 2.4))
     rise, lean = rng.uniform(-0.06, 0.06), rng.uniform(0.04, 0.09)
-    start_m = (rng.uniform(-15.0, 0.0), pavement.at(rng.uniform(0.9, 1.2)))
-    begin_s, forward = 0.6, float(rng.choice((0.5, 0.75)))
+    start_m = (
+        rng.uniform(-15.0, 0.0),
+        pavement.at(rng.uniform(*((0.5, 0.8) if near else (0.9, 1.2)))),
+    )
+    begin_s, forward = 0.6, 1.0 if near else float(rng.choice((0.5, 0.75)))
     pull_s = begin_s + rng.uniform(1.0, 2.5)
     pulls_s = rng.uniform(0.8, 1.2)
     stick = (
@@ -204,11 +213,14 @@ def _twisted_ramp(rng: np.random.Generator) -> Draft:
     )
 
 
-def _footplate_swing(rng: np.random.Generator) -> Draft:
+def _footplate_swing(rng: np.random.Generator, near: bool = False) -> Draft:
     """The chair stands along a wall and turns on the spot: its footplate swings into the wall."""
     pavement = Pavement(width_m=rng.uniform(2.6, 3.4))
     wall_y_m = pavement.at(pavement.width_m - rng.uniform(0.2, 0.5))
-    start_m = (rng.uniform(-20.0, 0.0), wall_y_m + rng.uniform(0.45, 0.62))
+    start_m = (
+        rng.uniform(-20.0, 0.0),
+        wall_y_m + rng.uniform(*((0.36, 0.45) if near else (0.45, 0.62))),
+    )
     begin_s, turn_s = rng.uniform(0.4, 1.0), rng.uniform(2.0, 3.0)
     turn = float(rng.choice((0.5, 0.75, 1.0)))
     stick = (
@@ -297,7 +309,7 @@ def _overtaking_rider(rng: np.random.Generator) -> Draft:
     )
 
 
-def _scooter_cuts_in(rng: np.random.Generator) -> Draft:
+def _scooter_cuts_in(rng: np.random.Generator, near: bool = False) -> Draft:
     """A rider passes on a track that ends, cuts in in front of the chair and slows down."""
     speed_mps, slow_mps = rng.uniform(3.2, 4.5), rng.uniform(0.25, 0.5)
     kind, length_m, _ = _rider(rng, speed_mps, "center", f' decel="{_DECEL_MPS2}"')
@@ -307,7 +319,7 @@ def _scooter_cuts_in(rng: np.random.Generator) -> Draft:
     stick = (Push(0.3, 0.0, forward),)
     front_m = float(predict_path(start_m, 90.0, stick, merge_s)[-1, 1]) + FORE_M
     # There the rider's front is when it has cut in.
-    merge_m = front_m + rng.uniform(0.8, 1.5) + length_m
+    merge_m = front_m + rng.uniform(*((0.2, 0.8) if near else (0.8, 1.5))) + length_m
     # It brakes for the bend of the junction, and again at its end, to the speed of the path.
     bend_mps = min(speed_mps, _BEND_MPS)
     before_s = (speed_mps - bend_mps) / _DECEL_MPS2
@@ -347,7 +359,7 @@ def _scooter_cuts_in(rng: np.random.Generator) -> Draft:
     )
 
 
-def _dooring(rng: np.random.Generator) -> Draft:
+def _dooring(rng: np.random.Generator, near: bool = False) -> Draft:
     """The door of a parked car opens over the pavement, right in front of the chair."""
     pavement = Pavement(width_m=rng.uniform(2.0, 2.8))
     start_m = (-20.0, pavement.at(rng.uniform(0.65, 0.9)))
@@ -355,7 +367,11 @@ def _dooring(rng: np.random.Generator) -> Draft:
     open_s = rng.uniform(4.0, 7.0)
     way = predict_path(start_m, 90.0, stick, open_s)
     speed_mps = (way[-1, 1] - way[-3, 1]) / (way[-1, 0] - way[-3, 0])
-    room_m = _STOPS_S * speed_mps + 0.5 * speed_mps**2 / _BRAKE_MPS2 + rng.uniform(0.05, 0.45)
+    room_m = (
+        _STOPS_S * speed_mps
+        + 0.5 * speed_mps**2 / _BRAKE_MPS2
+        + rng.uniform(*((-0.25, 0.05) if near else (0.05, 0.45)))
+    )
     panel_m = float(way[-1, 1] + FORE_M + room_m) + END_M
     car = (
         '<vType id="car" vClass="passenger" length="4.5" width="1.8" height="1.5" '
@@ -443,12 +459,13 @@ def _junction(pavement: Pavement, west_m: float) -> Place:
     )
 
 
-def _oncoming_pair(rng: np.random.Generator) -> Draft:
+def _oncoming_pair(rng: np.random.Generator, near: bool = False) -> Draft:
     """Two people abreast come towards the chair, and fill the pavement with it."""
     pavement = Pavement(width_m=rng.uniform(1.7, 2.1))
     start_m = (-20.0, pavement.at(0.5 * pavement.width_m + rng.uniform(-0.1, 0.1)))
     stick = (Push(0.4, 0.0, float(rng.choice((0.5, 0.75)))),)
-    pace_mps, meet_s = rng.uniform(0.9, 1.4), rng.uniform(4.0, 7.0)
+    pace_mps = rng.uniform(*((1.6, 2.4) if near else (0.9, 1.4)))
+    meet_s = rng.uniform(4.0, 7.0)
     meet_m = float(predict_path(start_m, 90.0, stick, meet_s)[-1, 1]) + FORE_M
     begin_m = meet_m + pace_mps * meet_s + END_M
     people = "\n".join(
@@ -471,14 +488,16 @@ def _oncoming_pair(rng: np.random.Generator) -> Draft:
     )
 
 
-def _person_turns_round(rng: np.random.Generator, stands: str = _STANDS) -> Draft:
+def _person_turns_round(
+    rng: np.random.Generator, near: bool = False, stands: str = _STANDS
+) -> Draft:
     """Somebody walks in front of the chair and turns round, or stops dead."""
     pavement = Pavement(width_m=rng.uniform(1.35, 1.6))
     start_m = (-20.0, pavement.at(0.5 * pavement.width_m + rng.uniform(-0.1, 0.1)))
     stick = (Push(0.4, 0.0, 0.75),)
     pace_mps, turn_s = rng.uniform(0.6, 0.9), rng.uniform(4.0, 7.0)
     chair_m = float(predict_path(start_m, 90.0, stick, turn_s)[-1, 1]) + FORE_M
-    turn_m = chair_m + rng.uniform(0.5, 0.9) + END_M
+    turn_m = chair_m + rng.uniform(*((0.15, 0.5) if near else (0.5, 0.9))) + END_M
     begin_m = turn_m - 0.95 * pace_mps * turn_s
     stop = stands.format(turn_m - 0.2, turn_m + 0.2)
     after = '<walk edges="WE" arrivalPos="2"/>' if rng.random() < 0.6 else stop
@@ -501,13 +520,22 @@ def _person_turns_round(rng: np.random.Generator, stands: str = _STANDS) -> Draf
     )
 
 
-def _out_of_place(rng: np.random.Generator) -> Draft:
+def _out_of_place(rng: np.random.Generator, near: bool = False) -> Draft:
     """The chair is where it does not belong, and its user pushes on."""
     pavement, x_m = Pavement(width_m=rng.uniform(2.0, 3.0)), rng.uniform(-30.0, -10.0)
-    back_m, outer_y_m = rng.uniform(1.5, 3.0), pavement.outer_y_m
+    back_m = rng.uniform(*((0.95, 1.5) if near else (1.5, 3.0)))
+    outer_y_m = pavement.outer_y_m
     grounds = (
-        ("on the road before a kerb", KERB_Y_M + rng.uniform(1.3, 2.6), rng.uniform(120.0, 240.0)),
-        ("in the gutter", KERB_Y_M + rng.uniform(1.0, 1.3), rng.uniform(100.0, 125.0)),
+        (
+            "on the road before a kerb",
+            KERB_Y_M + rng.uniform(*((1.0, 1.3) if near else (1.3, 2.6))),
+            rng.uniform(120.0, 240.0),
+        ),
+        (
+            "in the gutter",
+            KERB_Y_M + rng.uniform(*((0.8, 1.0) if near else (1.0, 1.3))),
+            rng.uniform(100.0, 125.0),
+        ),
         ("on grass", outer_y_m - back_m, rng.uniform(-40.0, 40.0)),
         ("in a drive", outer_y_m - back_m, rng.uniform(-8.0, 8.0)),
         ("on the road, against a rider", -rng.uniform(1.2, 1.6), 270.0),
@@ -521,7 +549,8 @@ def _out_of_place(rng: np.random.Generator) -> Draft:
     ]
     beside = houses if where == "in a drive" else []
     place = pavement.street(*beside, kerb_height_m=rng.uniform(0.08, 0.15))
-    kind, routes = _rider(rng, rng.uniform(3.2, 5.0), "center")[0], ""
+    kind = _rider(rng, rng.uniform(*((5.0, 7.0) if near else (3.2, 5.0))), "center")[0]
+    routes = ""
     if number == len(grounds) - 1:
         track = f'bikeLaneWidth="{_TRACK_M}" sidewalkWidth'
         place = replace(place, types=place.types.replace("sidewalkWidth", track))
@@ -542,7 +571,7 @@ def _out_of_place(rng: np.random.Generator) -> Draft:
     )
 
 
-_DRAWN = MappingProxyType[str, Callable[[np.random.Generator], Draft]](
+_USUAL = MappingProxyType[str, Callable[..., Draft]](
     {
         "bus-at-corner": _bus_at_corner,
         "car-door": _dooring,
@@ -558,8 +587,16 @@ _DRAWN = MappingProxyType[str, Callable[[np.random.Generator], Draft]](
         "twisted-ramp": _twisted_ramp,
     }
 )
-FAMILIES: tuple[str, ...] = tuple(_DRAWN)
+# A nearer danger, or a faster one: ranges of parameters that no training draws.
+_NEARER = MappingProxyType[str, Callable[..., Draft]](
+    {
+        f"{name}-near": partial(draw, near=True)
+        for name, draw in _USUAL.items()
+        if name not in (*HELD_OUT["family"], *_OLD)
+    }
+)
+FAMILIES: tuple[str, ...] = (*_USUAL, *_NEARER)
 # Families of lists of version 2, which have no new ones.
-LISTED = tuple(name for name in FAMILIES if name not in (*_NEW, *_OLD))
-TRAINED = tuple(name for name in FAMILIES if name not in (*HELD_OUT["family"], *_OLD))
+LISTED = tuple(name for name in _USUAL if name not in (*_NEW, *_OLD))
+TRAINED = tuple(name for name in _USUAL if name not in (*HELD_OUT["family"], *_OLD))
 """Families of which trainings draw scenes: none that is held out, or that has a newer version."""

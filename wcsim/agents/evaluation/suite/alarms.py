@@ -3,7 +3,6 @@
 A fork is a copy of the world in which the user drives alone from this tick on.
 """
 
-import math
 import struct
 from dataclasses import dataclass, field
 from typing import Final
@@ -19,7 +18,7 @@ JOINED_S: Final = 0.5  # gaps below this join two runs
 BEFORE_S: Final = 5.0  # an own crash with no intervention so long before was missed
 AHEAD_S: Final = 1.0  # a warning counts when it comes so long before the crash
 ALONE_S: Final = 5.0  # so long a fork looks ahead
-_ANSWER: Final = struct.Struct("<d")
+_ANSWER: Final = struct.Struct("<i")
 
 
 def _extended(spans: list[list[int]], step: int, tick_s: float) -> bool:
@@ -85,28 +84,36 @@ class Alarms:
 def crash_alone_s(world: World, seat: int, actions: ActionSet, tick_s: float) -> float | None:
     """Seconds until a seat's chair crashes when its user drives alone from now on; None within `ALONE_S`.
 
+    Raises PhysicsError as `crash_tick` does.
+    """
+    tick = crash_tick(world, seat, _users_alone(actions), round(ALONE_S / tick_s))
+    return None if tick is None else tick * tick_s
+
+
+def crash_tick(world: World, seat: int, driver: Driver, ticks: int) -> int | None:
+    """The tick, from 1, in which a seat's chair crashes with this driver from now on; None within so many.
+
     The other chairs leave the street of the copy. The world itself does not move.
 
     Raises:
         PhysicsError: The copy ended without an answer.
     """
-    (crash_s,) = _ANSWER.unpack(in_copy(world, lambda copy: _ANSWER.pack(_alone(copy, seat, actions, tick_s))))
-    return None if math.isinf(crash_s) else float(crash_s)
 
+    def drive(copy: World) -> bytes:
+        for other in [ego.index for ego in copy.seats if ego.index != seat]:
+            copy.dismiss(other)
+        copy.go_blind()
+        copy.drop_step_limits()  # a fork at the end of an episode looks as far ahead as any other
+        for tick, step in zip(range(1, ticks + 1), rollout(copy, {seat: driver}), strict=False):
+            (client,) = step.after.clients
+            if client.events.crashed:
+                return _ANSWER.pack(tick)
+            if client.first is not None or client.events.arrived or client.events.gave_up:
+                break  # an episode ends here, and whatever came on the next way
+        return _ANSWER.pack(0)
 
-def _alone(world: World, seat: int, actions: ActionSet, tick_s: float) -> float:
-    for other in [ego.index for ego in world.seats if ego.index != seat]:
-        world.dismiss(other)
-    world.go_blind()
-    world.drop_step_limits()  # a fork at the end of an episode looks as far ahead as any other
-    steps = rollout(world, {seat: _users_alone(actions)})
-    for tick, step in zip(range(1, round(ALONE_S / tick_s) + 1), steps, strict=False):
-        (client,) = step.after.clients
-        if client.events.crashed:
-            return tick * tick_s
-        if client.first is not None or client.events.arrived or client.events.gave_up:
-            break  # an episode ends here, and whatever came on the next way
-    return math.inf
+    (tick,) = _ANSWER.unpack(in_copy(world, drive))
+    return tick or None
 
 
 def _users_alone(actions: ActionSet) -> Driver:

@@ -90,6 +90,7 @@ class EpisodeRecord:
     helps: int = 0  # times that the user asked for help
     path_m: tuple[tuple[float, float], ...] = ()  # once a second, and at the end, W
     repeats: bool = False  # a hazard that is a free episode of its list once more
+    last_moment_s: float | None = None  # before its crash, at which a copy of the world still survived
 
     @property
     def counts(self) -> bool:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.drive import LATE_S, Piece, Watch, drive_block, refused
-from wcsim.agents.evaluation.suite.records import Records, record_of
+from wcsim.agents.evaluation.suite.records import CRASHED, Records, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
+from wcsim.agents.evaluation.suite.survival import Survival
 from wcsim.agents.opening.list_file import TIGHT, HashedSuite, load_suite_towns, make_block_setup, require_block_towns
 from wcsim.agents.opening.named_policy import list_policy_overrides, open_named_policy, resolve_policy_config
 from wcsim.agents.policies.served_policy import ServedPolicyClient
@@ -264,7 +265,18 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> Records:
         except WcsimError as error:
             return refused(piece, str(error))
         place = make_block_setup(piece.block, config, lambda: find_town(piece.town), work)
-        return drive_block(piece, place, iter(drivers).__next__, watch)
+        records = drive_block(piece, place, iter(drivers).__next__, watch)
+    crashes = {
+        record.seat: piece.block.episodes[record.seat].handover_step + record.steps
+        for record in records
+        if record.status == CRASHED
+    }
+    if not piece.judged or not crashes:
+        return records
+    # Once more up to the crashes: could they still have been survived?
+    survival = Survival(crashes, config.world.tick_s)
+    drive_piece(replace(piece, judged=False), survival)
+    return tuple(replace(each, last_moment_s=survival.last_moment_s.get(each.seat)) for each in records)
 
 
 def _policy_digest(name: str, order: SuiteOrder) -> str:
