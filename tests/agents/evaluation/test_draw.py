@@ -5,13 +5,11 @@ import math
 import pytest
 
 from tests.agents.evaluation.suite.lists import config
-from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, _reference_time_s, crossing_blocks, free_blocks
+from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, _reference_time_s, free_blocks
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
-from wcsim.types import WayKind
 
 FREE = Wanted(part="free", profiles=("ataxic", "inattentive"))
-ROAD = Wanted(part="crossing", profiles=("competent", "inattentive"))
 
 
 @pytest.fixture(scope="module")
@@ -33,18 +31,6 @@ def test_ways_keep_apart_and_are_the_same_for_the_same_seed(place, blocks):
             assert abs(way.arc_m[-1] - block.episodes[number].route_m) < 1e-3
             for other in ways[:number]:
                 assert min(math.dist(a, b) for a in way.points_W_m[::5] for b in other.points_W_m[::5]) > 50.0
-
-
-def test_attempts_lead_over_one_crossing_each_and_use_them_all(place):
-    blocks = crossing_blocks(place, ROAD, 16, 5)
-    over = []
-    for block in blocks:
-        for episode in block.episodes:
-            way = place.router.route(episode.start_m, episode.goal_m)
-            edges = {int(i) for i in way.edge_index if place.street.walk.edges[int(i)].kind is WayKind.CROSSING}
-            assert len(edges) == 1 and episode.max_steps > 10.0 * episode.reference_s
-            over += edges
-    assert len(over) == len(set(over)) == 16  # each in turn before one comes again
 
 
 def test_the_reference_grows_with_the_way_and_with_a_slower_user(place, blocks):

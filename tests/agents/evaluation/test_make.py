@@ -1,6 +1,7 @@
 """Lists hold only what is an episode: nobody who is hit at once, and what is left is driven again without them."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -9,25 +10,26 @@ from wcsim.agents.evaluation.suite import make
 from wcsim.agents.evaluation.suite.draw import Wanted, free_blocks
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.opening.list_file import load_suite_towns, parse_suite_towns, require_block_towns
-from wcsim.config import resolve
 from wcsim.config.suite import SuiteBlock
 
-
-def record(block: int, seat: int, time_s: float, status: str = "chair_crashed", fault: str = "own") -> EpisodeRecord:
-    return EpisodeRecord(
-        block=block, seat=seat, part="free", town="a", profile="b", status=status, fault=fault, time_s=time_s
-    )
+PLACE = SimpleNamespace(name="a", listed="a")
 
 
-def block_with(*lengths_m: float) -> SuiteBlock:
+def record(block: int, seat: int, time_s: float, **more: object) -> EpisodeRecord:
+    crash = {"status": "chair_crashed", "fault": "own", "part": "free", "town": "a", "profile": "b"}
+    drove = {"time_s": time_s, "steps": round(10.0 * time_s), "done_m": time_s}
+    return EpisodeRecord(block=block, seat=seat, **{**crash, **drove, **more})
+
+
+def block_with(*lengths_m: float, **more: object) -> SuiteBlock:
     episodes = tuple(episode(route_m=length_m) for length_m in lengths_m)
-    return SuiteBlock(part="free", town="a", seed=1, episodes=episodes)
+    return SuiteBlock(**{"part": "free", "town": "a", "seed": 1, "episodes": episodes, **more})
 
 
-def order_in(work: Path, hazards: int = 1) -> make.MakeOrder:
-    return make.MakeOrder(
-        suite="x-v1", set="x", seed=0, free_blocks=1, attempts=1, hazards=hazards, tight=range(0), work=work
-    )
+def maker_in(work: Path, told: list[str] | None = None, **more: object) -> make._Maker:
+    plain = {"suite": "x-v1", "set": "x", "seed": 0, "free_blocks": 1, "hazards": 1, "profiles": ("b",), "scenes": {}}
+    order = make.MakeOrder(**{**plain, "work": work, **more})
+    return make._Maker(order, (), lambda text, _: (told if told is not None else []).append(text))
 
 
 def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
@@ -36,7 +38,7 @@ def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
     """Ways of 1 m end at once; without them a way of 2 m does, and then one of 3 m."""
     driven: list[list[list[float]]] = []
 
-    def alone(_order: object, _towns: object, blocks: list[SuiteBlock], *_: object) -> tuple[EpisodeRecord, ...]:
+    def alone(_: object, blocks: list[SuiteBlock], *_args: object, **_more: object) -> tuple[EpisodeRecord, ...]:
         lengths = [[item.route_m for item in block.episodes] for block in blocks]
         driven.append(lengths)
         return tuple(
@@ -45,33 +47,45 @@ def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
             for seat, length_m in enumerate(row)
         )
 
-    monkeypatch.setattr(make, "_alone", alone)
-    order = order_in(tmp_path)
     blocks = [block_with(9.0, 8.0), block_with(1.0, 7.0, 2.0, 3.0), block_with(1.0)]
-    left = make._settled(order, (), blocks, lambda _: None, "ways", lambda found: found.time_s >= make.BAD_START_S)
+    monkeypatch.setattr(make, "free_blocks", lambda *_: blocks)
+    monkeypatch.setattr(make._Maker, "_alone", alone)
+    left = maker_in(tmp_path).free(PLACE)
     assert [[item.route_m for item in block.episodes] for block in left] == [[9.0, 8.0], [7.0]]
     assert driven == [[[9.0, 8.0], [1.0, 7.0, 2.0, 3.0], [1.0]], [[7.0, 2.0, 3.0]], [[7.0, 3.0]], [[7.0]]]
 
 
-def test_where_no_hazard_is_found_it_is_said_what_helps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who crashes among the others does not without them: the second drive of all."""
-    ends, said = ["chair_crashed", "finished"], []
-    monkeypatch.setattr(make, "_alone", lambda *_: (record(0, 0, 50.0, status=ends.pop(0)),) if ends else ())
-    order = order_in(tmp_path)
-    config = resolve("quick")
-    assert make._hazards(order, (), [block_with(9.0)], config, lambda text, share: said.append((text, share))) == []
-    ((text, share),) = said
-    assert "no hazards found" in text and "--more-ways 6" in text and share == 0.0
+def test_hazards_are_own_crashes_late_enough_that_could_be_survived_one_chair_each(tmp_path, monkeypatch):
+    """Drawn again until there are enough, and taken over 10 s before."""
+    monkeypatch.setattr(make, "free_blocks", lambda *_: [block_with(90.0, 80.0), block_with(70.0, 60.0)])
+    ends = [
+        *(record(0, 0, 50.0, fault="other"), record(1, 0, 11.0, last_moment_s=0.5), record(2, 0, 50.0)),
+        *(record(3, 0, 50.0, last_moment_s=0.5), record(4, 0, 40.0, last_moment_s=0.9), *[record(5, 0, 9.0)] * 3),
+    ]
+    monkeypatch.setattr(make._Maker, "_alone", lambda _, ways, _what: [ends.pop(0) for _ in ways])
+    found = maker_in(tmp_path, hazards=2).hazards(PLACE)
+    assert [len(block.episodes) for block in found] == [1, 1] and not ends
+    assert [block.episodes[0].handover_step for block in found] == [400, 300]
+    assert [block.episodes[0].max_steps for block in found] == [700, 600]
+
+
+def test_a_scene_whose_crash_nobody_survives_is_drawn_again_and_counted(tmp_path, monkeypatch):
+    monkeypatch.setattr(make, "tight_block", lambda family, seed: block_with(9.0, town=family, seed=seed))
+    ends = [record(0, 0, 5.0), record(0, 0, 5.0, last_moment_s=0.6), record(0, 0, 9.0, status="timed_out")]
+    monkeypatch.setattr(make._Maker, "_alone", lambda _, scenes, _what: [ends.pop(0) for _ in scenes])
+    said: list[str] = []
+    found = maker_in(tmp_path, said, scenes={"car-door": 1, "bus-at-corner": 1, "twisted-ramp": 0}).scenes()
+    assert [block.town for block in found] == ["car-door", "bus-at-corner"]
+    assert len({block.seed for block in found}) == 2
+    assert said == ["car-door: 2 drawn, 1 left out", "bus-at-corner: 1 drawn, 0 left out"]
 
 
 def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wanted = Wanted(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
-    monkeypatch.setattr(make, "_free", lambda place, *_: free_blocks(place, wanted, 1, 3))
-    monkeypatch.setattr(make, "_crossing", lambda *_: [])
-    monkeypatch.setattr(make, "_settled", lambda _order, _towns, blocks, *_: list(blocks))
-    order = order_in(tmp_path, hazards=0)
+    monkeypatch.setattr(make._Maker, "free", lambda _, place: free_blocks(place, wanted, 1, 3))
+    order = maker_in(tmp_path, hazards=0)._order
     file = make.make_suite(order, parse_suite_towns(str(corner), tmp_path), lambda *_: None)
     require_block_towns(file)
     ((name, town),) = load_suite_towns(file, tmp_path).items()

@@ -476,18 +476,12 @@ class _SuiteMakeOptions:
     """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
     name: Annotated[str, _Named(MOST_NAME)] = "own-suite-v1"
     """Name of the list, with its version."""
-    free: Annotated[int, common.Bounds(1, 10_000)] = 8
+    free: Annotated[int, common.Bounds(0, 10_000)] = 8
     """Blocks of free routes for each town, six routes each."""
-    attempts: Annotated[int, common.Bounds(1, 10_000)] = 40
-    """Attempts at crossings for each town."""
     hazards: Annotated[int, common.Bounds(0, 10_000)] = 30
-    """Largest number of starts, for each town, from which the user alone crashes."""
-    more_ways: Annotated[int, common.Bounds(0, 10_000)] = 0
-    """Further blocks of free routes for each town, only searched for such starts."""
+    """Starts, for each town, from which the user alone crashes."""
     tight: Annotated[int, common.Bounds(0, 10_000)] = 5
     """Generated scenes of each family of tight places."""
-    tight_from: Annotated[int, common.Bounds(0, 1_000_000)] = 0
-    """Their first seed."""
     to_choose_by: common.Flag = False
     """Leave out users and scenes that are held out of choices, as --select-by needs."""
     forks: Annotated[int, common.Bounds(0, 1_000_000)] = 1_000_000
@@ -506,6 +500,7 @@ def run_make_suite_command(words: list[str]) -> int:
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
     from wcsim.agents.opening.list_file import parse_suite_towns, suite_from_file, write_list
+    from wcsim.towns.scene_folders.families import LISTED, TRAINED
 
     with create_temporary_folder() as work:
         order = MakeOrder(
@@ -513,10 +508,9 @@ def run_make_suite_command(words: list[str]) -> int:
             set=options.suite_file.stem,
             seed=options.seed,
             free_blocks=options.free,
-            attempts=options.attempts,
             hazards=options.hazards,
-            more_ways=options.more_ways,
-            tight=range(options.tight_from, options.tight_from + options.tight),
+            profiles=("tremor" if options.to_choose_by else "ataxic", "inattentive"),
+            scenes=dict.fromkeys(TRAINED if options.to_choose_by else LISTED, options.tight),
             to_choose_by=options.to_choose_by,
             forks=options.forks,
             jobs=options.jobs,

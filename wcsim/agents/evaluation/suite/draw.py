@@ -5,8 +5,6 @@ areas of crowded junctions over lanes, and some refuges are shorter than a chair
 about the map and nothing about a policy.
 """
 
-import math
-from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -22,7 +20,7 @@ from wcsim.core import seeding
 from wcsim.errors import TownError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.walking.routes import Router
-from wcsim.types import F64, Outline, Route, Street, WayKind
+from wcsim.types import F64, Outline, Route, Street
 from wcsim.users.crossing import KERB_GAP_M, find_route_crossings
 from wcsim.users.profiles import UserProfile
 from wcsim.users.recordings.recorded_user import find_user
@@ -32,7 +30,6 @@ _STEP_M: Final = 0.25
 SEATS: Final = 6  # in a block, at most
 APART_M: Final = 60.0  # the ways of a block's chairs keep so far from one another: they do not meet
 _TRIES: Final = 400
-_NEAR_M, _FAR_M = 4.0, 14.0  # of an attempt's start from the crossing
 _FROM_REST_S: Final = 2.0
 _SLACK: Final = 3.0  # an episode lasts so many times its reference, and a minute for lights
 _WAITS_S: Final = 60.0
@@ -98,39 +95,6 @@ def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> lis
     return made
 
 
-def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) -> list[SuiteBlock]:
-    """Blocks of attempts at crossings: each crossing in turn, both ways, until there are enough.
-
-    Left out are those that no sound way leads over, see `_is_sound`.
-    Raises TownError when the town has no crossing that somebody can get to.
-    """
-    edges = place.street.walk.edges
-    crossings = [i for i, edge in enumerate(edges) if edge.kind is WayKind.CROSSING and not edge.never_green]
-    rng = seeding.make_rng(seed, "suite", place.name, wanted.part)
-    found: list[Way] = []
-    order = [crossings[i] for i in rng.permutation(len(crossings)).tolist()]
-    ways = deque((crossing, back) for back in (False, True) for crossing in order)
-    turn = 0
-    while len(found) < attempts and ways:
-        crossing, back = ways.popleft()
-        attempt = _attempt(place, crossing, back, wanted.profiles[turn % len(wanted.profiles)], rng)
-        turn += 1
-        if attempt is not None:  # a crossing that nobody could be sent over is not tried again
-            found.append(attempt)
-            ways.append((crossing, back))
-    if not found:
-        raise TownError(
-            f"{place.name}: no crossing with pavements at both ends; expected at least one: see `wcsim town check`"
-        )
-    made: list[SuiteBlock] = []
-    while found:
-        taken = _apart(iter(found))
-        used = {id(episode) for episode in taken}
-        found = [item for item in found if id(item[0]) not in used]
-        made.append(_block(place, wanted, seed, len(made), taken))
-    return made
-
-
 def _block(place: DrawPlace, wanted: Wanted, seed: int, number: int, episodes: Sequence[SuiteEpisode]) -> SuiteBlock:
     return SuiteBlock(
         part=wanted.part,
@@ -169,33 +133,6 @@ def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) 
         if long_enough and _is_sound(place.street, route, place.outline):
             yield episode, route
             over = float(rng.random() < wanted.crossing_share)
-
-
-def _attempt(place: DrawPlace, crossing: int, back: bool, who: str, rng: np.random.Generator) -> Way | None:
-    """A way over one crossing, from a pavement near its one end to one near its other."""
-    points_m = place.street.walk.edges[crossing].points_W_m
-    ends = (points_m[-1], points_m[0]) if back else (points_m[0], points_m[-1])
-    for _ in range(_TRIES // 10):
-        start, goal = (_beside(place, end, rng) for end in ends)
-        if start is None or goal is None:
-            return None
-        route = place.router.route(start, goal)
-        over = [int(i) for i in np.unique(route.edge_index) if place.street.walk.edges[int(i)].kind is WayKind.CROSSING]
-        ahead = route.points_W_m[min(1, len(route.points_W_m) - 1)] - route.points_W_m[0]
-        yaw_rad = math.atan2(ahead[1], ahead[0])
-        sound = over == [crossing] and route.arc_m[-1] < 60.0 and _is_sound(place.street, route, place.outline)
-        if sound and _clear(place, start, yaw_rad):
-            return _episode(place, start, yaw_rad, goal, who)
-    return None
-
-
-def _beside(place: DrawPlace, end_m: F64, rng: np.random.Generator) -> XY | None:
-    """A place on a pavement near a crossing's end, drawn; None where there is no pavement."""
-    choices = place.router.places_near((float(end_m[0]), float(end_m[1])), _NEAR_M, _FAR_M)
-    if not len(choices):
-        return None
-    x_m, y_m = choices[int(rng.integers(len(choices)))].tolist()
-    return x_m, y_m
 
 
 def _clear(place: DrawPlace, start: XY, yaw_rad: float) -> bool:

@@ -1,45 +1,45 @@
-"""Makes lists of test episodes: free ways, attempts at crossings, hazards and tight places, or drawn ones.
+"""Makes lists of test episodes: free ways, hazards of real streets, and generated scenes; or drawn ones.
 
-A hazard is an episode in which the user alone crashes by the chair's own fault. It is found by driving: the free ways
-are driven by the user alone, those that crash are driven once more without the others of their block, and who crashes
-again is taken over by the policy 10 s before.
+Which draws a list takes depends on the user alone, who drives all of them before any policy does. A way is left out
+where somebody hits him at once. A hazard is a way on which he crashes by his own fault; the policy takes over 10 s
+before.
+A hazard or scene is left out where no copy of the world shows that his crash could be survived; those are counted.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.evaluation.suite.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks
+from wcsim.agents.evaluation.suite.draw import SEATS, DrawPlace, Wanted, free_blocks
 from wcsim.agents.evaluation.suite.records import CRASHED, EpisodeRecord
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.opening.list_file import SCENE, SCENE_TOWN, suite_from_file
 from wcsim.agents.policy_api import UNAIDED
-from wcsim.config import RunConfig, resolve
+from wcsim.config import resolve
 from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile, SuiteTown
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.own_folder import create_temporary_folder
-from wcsim.core.reading import pluralize
 from wcsim.errors import TownError
 from wcsim.towns.making.asked_town import refuse_held_out_town
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_digest, seat_specs
-from wcsim.towns.scene_folders.families import LISTED, TRAINED, write_scene
+from wcsim.towns.scene_folders.families import write_scene
 from wcsim.towns.street import load_street
 
 BAD_START_S: Final = 3.0  # who is hit before this was put where somebody came along
-LEFT_S: Final = 4.0  # the user alone crashes no sooner after the handover
 HANDOVER_S: Final = 10.0  # before the crash of the user alone the policy takes over
 SOONEST_S: Final = 12.0  # a crash before this leaves no time for that
 AFTER_S: Final = 20.0  # so long after the handover a hazard lasts
 SETTINGS: Final = ("cameras.0.noise=typical", "world.action_delay_ticks=2", "env.max_steps=10000")
-_MORE: Final = "search more routes (--more-ways 6), or leave hazards out (--hazards 0)"
-CARELESS_STREET: Final = "world.attention_share=0.7"
 USUAL_STREET: Final = "world.attention_share=0.95"
+_ROUNDS: Final = 20  # of draws, until a list gives up
+_WAYS: Final = 6  # that are looked through for each hazard that is missing
 _TICK_S: Final = 0.1  # of a generated scene
 
 Told = Callable[[str, float], object]  # a line, and the share of its part of the work that is done
@@ -54,10 +54,9 @@ class MakeOrder:
     set: str
     seed: int
     free_blocks: int
-    attempts: int
-    hazards: int  # at most
-    more_ways: int = 0  # blocks of free ways that are looked through for hazards alone
-    tight: range  # seeds of the generated scenes, of each family
+    hazards: int
+    profiles: tuple[str, ...]  # users of ways and hazards, in turn
+    scenes: Mapping[str, int]  # draws of each family
     to_choose_by: bool = False  # without what is held out
     forks: int = 1_000_000  # episodes of the whole list whose interventions are judged, at most
     jobs: int = 1
@@ -65,7 +64,7 @@ class MakeOrder:
 
 
 def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told: Told) -> SuiteFile:
-    """A list for these towns, each with the seed that it was made of; drives in them to find the hazards.
+    """A list for these towns, each with the seed that it was made of; the user drives all draws alone.
 
     Raises TownError for one that is too small, and for two of one name; ConfigError for one that is held out.
     """
@@ -76,24 +75,13 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
         SuiteTown(name=name, sha256=content_hash(town), made_seed=seed)
         for name, (town, seed) in zip(listed, towns, strict=True)
     )
-    streets = [(name, town.name, load_street(town)) for name, (town, _) in zip(listed, towns, strict=True)]
-    places = [DrawPlace(own, street, config, name) for name, own, street in streets]
-    free = [block for place in places for block in _free(place, order)]
-    crossing = [block for place in places for block in _crossing(place, order)]
-    drawn = f"{len(free)} block{'s' * (len(free) != 1)} of free routes and {len(crossing)} of attempts at crossings"
-    told(f"drew {drawn}", 0.0)
-    free = _settled(order, named, free, told, "free routes", _starts_well)
-    crossing = _settled(order, named, crossing, told, "attempts", _starts_well)
-    more = [block for place in places for block in _free(place, order, more=True)] if order.more_ways else []
-    hazard = _hazards(order, named, [*free, *more], config, told) if order.hazards else []
-    return SuiteFile(
-        suite=order.suite,
-        set=order.set,
-        settings=SETTINGS,
-        towns=named,
-        forks=order.forks,
-        blocks=(*free, *crossing, *hazard, *_tight_blocks(order.tight, order.to_choose_by)),
-    )
+    places = [
+        DrawPlace(town.name, load_street(town), config, name) for name, (town, _) in zip(listed, towns, strict=True)
+    ]
+    maker = _Maker(order, named, told)
+    free = [block for place in places for block in maker.free(place)]
+    hazards = [block for place in places for block in maker.hazards(place)]
+    return maker.listed((*free, *hazards, *maker.scenes()))
 
 
 def _listed_as(town: Town, made_seed: int | None, to_choose_by: bool = False) -> str:
@@ -111,110 +99,105 @@ def _listed_as(town: Town, made_seed: int | None, to_choose_by: bool = False) ->
     return town.name
 
 
-def _free(place: DrawPlace, order: MakeOrder, more: bool = False) -> list[SuiteBlock]:
-    often = "tremor" if order.to_choose_by else "ataxic"
-    wanted = Wanted(part="free", profiles=(often, often, "inattentive"), settings=(USUAL_STREET,))
-    if more:
-        return free_blocks(place, wanted, order.more_ways, seeding.derive_seed(order.seed, "more ways"))
-    return free_blocks(place, wanted, order.free_blocks, order.seed)
+class _Maker:
+    """Draws blocks, and lets the user drive them."""
+
+    def __init__(self, order: MakeOrder, towns: tuple[SuiteTown, ...], told: Told) -> None:
+        self._order, self._towns, self._told = order, towns, told
+
+    def listed(self, blocks: Sequence[SuiteBlock]) -> SuiteFile:
+        """A list of these blocks."""
+        return SuiteFile(
+            suite=self._order.suite,
+            set=self._order.set,
+            settings=SETTINGS,
+            towns=self._towns,
+            forks=self._order.forks,
+            blocks=tuple(blocks),
+        )
+
+    def free(self, place: DrawPlace) -> list[SuiteBlock]:
+        """Blocks of ways whose users start well.
+
+        Who is left out is missing in the street of the others: what is left is driven again, until all of it stays.
+        """
+        wanted = Wanted(part="free", profiles=self._order.profiles, settings=(USUAL_STREET,))
+        pending = list(enumerate(free_blocks(place, wanted, self._order.free_blocks, self._order.seed)))
+        done: dict[int, SuiteBlock] = {}
+        while pending:
+            records = self._alone([block for _, block in pending], f"{place.name}, free ways", forks=0)
+            changed = []
+            for index, (number, block) in enumerate(pending):
+                own = [record for record in records if record.block == index]
+                kept = [
+                    episode
+                    for episode, record in zip(block.episodes, own, strict=True)
+                    if record.status != CRASHED or record.time_s >= BAD_START_S
+                ]
+                block = block.model_copy(update={"episodes": tuple(kept)})
+                if len(kept) == len(own):
+                    done[number] = block
+                elif kept:
+                    changed.append((number, block))
+            pending = changed
+        return [done[number] for number in sorted(done)]
+
+    def hazards(self, place: DrawPlace) -> list[SuiteBlock]:
+        """Ways of one chair each, drawn until enough of them end in a crash that could be survived."""
+        wanted = Wanted(part="hazard", profiles=self._order.profiles, settings=(USUAL_STREET,))
+        found: list[SuiteBlock] = []
+        for turn in range(_ROUNDS):
+            missing = self._order.hazards - len(found)
+            if missing <= 0:
+                break
+            seed = seeding.derive_seed(self._order.seed, "hazards", turn)
+            drawn = free_blocks(place, wanted, missing * _WAYS // SEATS + 1, seed)
+            ways = [block.model_copy(update={"episodes": (each,)}) for block in drawn for each in block.episodes]
+            records = self._alone(ways, f"{place.name}, hazards")
+            crashes = [
+                way.model_copy(update={"episodes": (_handed_over(way.episodes[0], record),)})
+                for way, record in zip(ways, records, strict=True)
+                if record.own and record.time_s >= SOONEST_S and record.last_moment_s is not None
+            ]
+            found += crashes[:missing]
+        return found
+
+    def scenes(self) -> list[SuiteBlock]:
+        """Draws of each family as they fall, but for those whose crash no copy of the world survived."""
+        wanted = {family: number for family, number in self._order.scenes.items() if number}
+        found: dict[str, list[SuiteBlock]] = {family: [] for family in wanted}
+        drawn, left_out = Counter[str](), Counter[str]()
+        for _ in range(_ROUNDS):
+            blocks = []
+            for family, number in wanted.items():
+                for _ in range(number - len(found[family])):
+                    seed = seeding.derive_seed(self._order.seed, "scenes", family, drawn[family])
+                    blocks.append(tight_block(family, seed))
+                    drawn[family] += 1
+            if not blocks:
+                break
+            for block, record in zip(blocks, self._alone(blocks, "scenes"), strict=True):
+                if record.own and record.last_moment_s is None:
+                    left_out[block.town] += 1
+                else:
+                    found[block.town].append(block)
+        for family in wanted:
+            self._told(f"{family}: {drawn[family]} drawn, {left_out[family]} left out", 1.0)
+        return [block for blocks in found.values() for block in blocks]
+
+    def _alone(self, blocks: Sequence[SuiteBlock], what: str, forks: int = 1_000_000) -> tuple[EpisodeRecord, ...]:
+        """The user's records; with forks, each crash has its last moment."""
+        order = self._order
+        driven = SuiteOrder(suite=suite_from_file(self.listed(blocks)), out=order.work, jobs=order.jobs, forks=forks)
+        told = self._told
+        return run_suite(driven, (UNAIDED,), lambda _, done, of: told(f"{what}: {done} of {of} blocks", done / of))[
+            UNAIDED
+        ]
 
 
-def _crossing(place: DrawPlace, order: MakeOrder) -> list[SuiteBlock]:
-    """Careful and careless users, among others who look and others who look less."""
-    made: list[SuiteBlock] = []
-    for number, settings in enumerate((USUAL_STREET, CARELESS_STREET)):
-        wanted = Wanted(part="crossing", profiles=("competent", "inattentive"), settings=(settings,))
-        attempts = (order.attempts + 1 - number) // 2
-        if attempts:
-            made += crossing_blocks(place, wanted, attempts, seeding.derive_seed(order.seed, "crossing", number))
-    return made
-
-
-def _hazards(
-    order: MakeOrder, towns: tuple[SuiteTown, ...], free: Sequence[SuiteBlock], config: RunConfig, told: Told
-) -> list[SuiteBlock]:
-    first = _alone(order, towns, free, told, "free routes")
-    candidates = [_crashing(block, first, index, config) for index, block in enumerate(free)]
-    blocks = [block for block in candidates if block is not None]
-    if not blocks:
-        raise TownError(f"no drive of the user alone ended in an own crash; expected some: {_MORE}")
-    again = _alone(order, towns, blocks, told, "hazards")
-    found: list[SuiteBlock] = []
-    left = {town.name: order.hazards for town in towns}
-    for index, block in enumerate(blocks):
-        taken = _crashing(block, again, index, config, taken_over=True)
-        if taken is not None and left[block.town] > 0:
-            episodes = taken.episodes[: left[block.town]]
-            left[block.town] -= len(episodes)
-            found.append(taken.model_copy(update={"episodes": episodes}))
-    settled_ones = _settled(order, towns, found, told, "hazards to the end", _ends_in_time)
-    number = sum(len(block.episodes) for block in settled_ones)
-    none = f"no hazards found: no crash of the user alone happened again without the other chairs; {_MORE}"
-    told(f"found {pluralize(number, 'hazard')}" if number else none, 0.0)
-    return settled_ones
-
-
-def _settled(
-    order: MakeOrder,
-    towns: tuple[SuiteTown, ...],
-    blocks: Sequence[SuiteBlock],
-    told: Told,
-    what: str,
-    keeps: Callable[[EpisodeRecord], bool],
-) -> list[SuiteBlock]:
-    """The blocks with those episodes alone that `keeps` keeps when the user drives alone.
-
-    Who is left out is missing in the street of the others, so that what is left is driven again, until all of it stays.
-    """
-    done: dict[int, SuiteBlock] = {}
-    pending = list(enumerate(blocks))
-    while pending:
-        records = _alone(order, towns, [block for _, block in pending], told, what)
-        changed: list[tuple[int, SuiteBlock]] = []
-        for place, (number, block) in enumerate(pending):
-            own = {record.seat: record for record in records if record.block == place}
-            kept = tuple(episode for seat, episode in enumerate(block.episodes) if keeps(own[seat]))
-            if len(kept) == len(block.episodes):
-                done[number] = block
-            elif kept:
-                changed.append((number, block.model_copy(update={"episodes": kept})))
-        pending = changed
-    return [done[number] for number in sorted(done)]
-
-
-def _starts_well(record: EpisodeRecord) -> bool:
-    return record.status != CRASHED or record.time_s >= BAD_START_S
-
-
-def _ends_in_time(record: EpisodeRecord) -> bool:
-    return record.own and record.time_s >= LEFT_S
-
-
-def _alone(
-    order: MakeOrder, towns: tuple[SuiteTown, ...], blocks: Sequence[SuiteBlock], told: Told, what: str
-) -> tuple[EpisodeRecord, ...]:
-    file = SuiteFile(suite=order.suite, set=order.set, settings=SETTINGS, towns=towns, blocks=tuple(blocks))
-    driven = SuiteOrder(suite=suite_from_file(file), out=order.work, jobs=order.jobs, forks=0)
-    return run_suite(driven, (UNAIDED,), lambda _, done, of: told(f"{what}: {done} of {of} blocks", done / of))[UNAIDED]
-
-
-def _crashing(
-    block: SuiteBlock, records: Sequence[EpisodeRecord], index: int, config: RunConfig, taken_over: bool = False
-) -> SuiteBlock | None:
-    """The block with those of its episodes alone that crash late enough; with the handover when `taken_over`."""
-    tick_s = config.world.tick_s
-    episodes = []
-    for record in records:
-        if record.block == index and record.own and record.time_s >= SOONEST_S:
-            episode = block.episodes[record.seat]
-            episodes.append(_handed_over(episode, record, tick_s) if taken_over else episode)
-    if not episodes:
-        return None
-    return block.model_copy(update={"part": "hazard", "episodes": tuple(episodes[:SEATS])})
-
-
-def _handed_over(episode: SuiteEpisode, record: EpisodeRecord, tick_s: float) -> SuiteEpisode:
+def _handed_over(episode: SuiteEpisode, record: EpisodeRecord) -> SuiteEpisode:
     """An episode whose user crashes alone, with its handover 10 s before; all its way is what half the pace reaches."""
+    tick_s = record.time_s / record.steps
     handover = record.steps - round(HANDOVER_S / tick_s)
     lasts_s = HANDOVER_S + AFTER_S
     before_m = record.done_m * handover / record.steps
@@ -228,12 +211,6 @@ def _handed_over(episode: SuiteEpisode, record: EpisodeRecord, tick_s: float) ->
             "reference_s": round(lasts_s * (before_m + way_m) / way_m, 2) if way_m > 0.0 else episode.reference_s,
         }
     )
-
-
-def _tight_blocks(seeds: Sequence[int], to_choose_by: bool = False) -> list[SuiteBlock]:
-    """A block for each listed family of scenes and each seed."""
-    families = TRAINED if to_choose_by else LISTED
-    return [tight_block(family, seed) for family in families for seed in seeds]
 
 
 def tight_block(family: str, seed: int) -> SuiteBlock:

@@ -10,6 +10,7 @@ from wcsim.agents.envs.episode_view import EnvStepResult
 from wcsim.agents.evaluation.suite.alarms import crash_tick
 from wcsim.agents.policy_api import Policy
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import Driver
 from wcsim.types import Joystick
 
 EVERY_S: Final = 0.3
@@ -53,9 +54,13 @@ class Survival:
         if not 0 < left <= since or left % every:
             return
         for stick in STICKS:
-            if crash_tick(world, seat, lambda _, stick=stick: stick, left + on) is None:
+            if crash_tick(world, seat, _holding(stick), left + on) is None:
                 self.last_moment_s[seat] = round(left * self._tick_s, 6)
                 return
 
     def ended(self, seat: int, world: World) -> None:
         """Nothing is left to do."""
+
+
+def _holding(stick: Joystick) -> Driver:
+    return lambda _: stick
