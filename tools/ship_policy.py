@@ -42,7 +42,7 @@ from wcsim.towns.scene_folders.families import TRAINED
 _COLUMNS = (
     *("policy", "part", "crashes_own", "km", "crashes_per_km"),
     *("kpi1_free_within", "speed_mps"),
-    *("arrivals", "needless", "warned_share", "false_warnings_per_km", "score"),
+    *("arrived", "unneeded", "warned_share", "false_warnings_per_km", "score"),
 )
 _LIMITS = """- Simulation only: this says nothing about a real street, and no person has driven with it.
 - Its input is one depth camera at the position above, with a class for each pixel.

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, free_blocks
-from wcsim.agents.evaluation.suite.make import SETTINGS, USUAL_STREET, tight_block
+from wcsim.agents.evaluation.suite.make import SETTINGS, USUAL_STREET, scene_block
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.opening.list_file import suite_from_file, write_list
 from wcsim.agents.policy_api import UNAIDED
@@ -57,10 +57,10 @@ def demo_list(work: Path, jobs: int, told: Callable[[str], object]) -> SuiteFile
             told(f"{tries[place][0].town}, {place}: {own[place]} of {len(tries[place])}")
         return taken
 
-    families = most(FAMILIES, [[tight_block(name, seed) for seed in CHOICE_SEEDS] for name in LISTED])
+    families = most(FAMILIES, [[scene_block(name, seed) for seed in CHOICE_SEEDS] for name in LISTED])
     chosen = most(WAYS, [[way.model_copy(update={"seed": seed}) for seed in CHOICE_SEEDS] for way in ways])
     hazards = [ways[place].model_copy(update={"part": "hazard", "seed": FRESH_SEED}) for place in chosen]
-    scenes = [tight_block(LISTED[place], FRESH_SEED) for place in families]
+    scenes = [scene_block(LISTED[place], FRESH_SEED) for place in families]
     first, second = drawn[SEARCHED:]
     rest = second.model_copy(update={"episodes": second.episodes[: FREE - len(first.episodes)]})
     return listed([*hazards, *scenes, first, rest])

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.agents.evaluation.suite.lists import episode
-from wcsim.agents.evaluation.suite.make import _tight_blocks
-from wcsim.agents.opening.list_file import open_suite_to_choose_by, write_list
+from wcsim.agents.opening.list_file import open_recipe, open_suite_to_choose_by, write_list
 from wcsim.agents.rounds.train_rounds import towns_of
 from wcsim.agents.runs.data_folder import write_data_manifest
 from wcsim.cli.shared.run_config import refuse_held_out_users
@@ -70,5 +69,7 @@ def test_nothing_is_chosen_by_a_list_that_has_what_is_held_out(seed, change, tol
         open_suite_to_choose_by(str(tmp_path / "bad.json"))
 
 
-def test_a_list_to_choose_by_is_made_without_families_that_are_held_out():
-    assert not {block.town for block in _tight_blocks((0,), True)} & set(HELD_OUT["family"])
+def test_the_recipe_of_a_list_to_choose_by_names_nothing_that_is_held_out():
+    recipe = open_recipe("validation2")
+    assert recipe.scenes and not set(recipe.scenes) & set(HELD_OUT["family"])
+    assert not set(recipe.profiles) & set(HELD_OUT["profile"])

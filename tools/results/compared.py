@@ -187,7 +187,7 @@ def _obedience(rows: Rows, runs: Sequence[str]) -> list[Wanted]:
 
 def _arrivals(rows: Rows, runs: Sequence[str]) -> Wanted:
     crossing = [rows[name, "crossing"] for name in (RIVAL, *runs)]
-    rival, *shares = (row.arrivals / max(row.attempts, 1) for row in crossing)
+    rival, *shares = (row.arrived / max(row.attempts, 1) for row in crossing)
     return Wanted(
         what="arrivals in part crossing",
         bar=f"`{RIVAL}`'s {100 * rival:.1f} %, minus 3 points",
@@ -197,7 +197,7 @@ def _arrivals(rows: Rows, runs: Sequence[str]) -> Wanted:
 
 
 def _needless(rows: Rows, runs: Sequence[str]) -> Wanted:
-    most, *counts = (rows[name, ""].needless for name in (RIVAL, *runs))
+    most, *counts = (rows[name, ""].unneeded for name in (RIVAL, *runs))
     reached = float(np.mean(counts)) <= most
     return Wanted(what="unneeded interventions", bar=f"`{RIVAL}`'s {most}", got=_each(counts, 1.0, 0), reached=reached)
 

@@ -13,7 +13,9 @@ MOST_SEATS: Final = 12
 # Characters of a list's name, and of that of its set.
 MOST_NAME: Final = 64
 MOST_SET: Final = 32
-# One of free, crossing, hazard, tight or drawn.
+# Parts whose episodes are survived or not; in others one is to arrive.
+SURVIVED: Final = frozenset({"hazard", "tight", "scenes", "streets", "held-out"})
+# One of those, or free, crossing, or a town and its user.
 Part = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")]
 
 
@@ -48,9 +50,9 @@ class SuiteBlock(Model):
     """Some episodes that share a world, a chair each."""
 
     part: Part
-    town: Text  # its name; of a tight place the family of generated scenes
-    scene_sha256: Sha256 | None = None  # of a tight place's files
-    seed: Seed  # of the world; of a tight place that of its scene
+    town: Text  # its name; of a generated scene its family
+    scene_sha256: Sha256 | None = None  # of a generated scene's files
+    seed: Seed  # of the world; of a generated scene its own
     settings: Texts = ()  # section.key=value, over those of the suite
     episodes: Annotated[tuple[SuiteEpisode, ...], Field(min_length=1, max_length=MOST_SEATS)]
 
@@ -68,6 +70,26 @@ def find_seats_repeating_free_part(blocks: Sequence[SuiteBlock], index: int) -> 
 
     free = {drive for block in blocks if block.part == "free" for drive in drives(block)}
     return frozenset(seat for seat, drive in enumerate(drives(blocks[index])) if drive in free)
+
+
+class SuiteRecipe(Model):
+    """What a list is drawn from; with towns and a seed it gives the same list again."""
+
+    # Its name, with its version.
+    suite: Annotated[str, Field(pattern=make_suite_name_pattern(MOST_NAME))]
+    # Blocks of up to six ways along pavements, and over crossings, for each town.
+    free: Annotated[int, within(0, 10_000)] = 0
+    crossings: Annotated[int, within(0, 10_000)] = 0
+    # Ways on which the user alone crashes, for each town.
+    hazards: Annotated[int, within(0, 10_000)] = 0
+    # Users of all of these, in turn.
+    profiles: Annotated[Texts, Field(min_length=1)]
+    # Generated scenes by family.
+    scenes: dict[Text, Annotated[int, within(0, 10_000)]] = Field(default_factory=dict)
+    # Why these: the share of a pilot's draws in which each policy crashed, by family.
+    pilot: dict[Text, dict[Text, Annotated[float, Field(ge=0.0, le=1.0)]]] = Field(
+        default_factory=dict
+    )
 
 
 class SuiteTown(Model):

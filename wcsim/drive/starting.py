@@ -5,7 +5,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 from wcsim.agents.opening.list_file import (
-    TIGHT,
     HashedSuite,
     list_shipped_suites,
     make_block_setup,
@@ -158,7 +157,7 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
         handover_step=episode.handover_step,
         told=f"{suite.file.set} {start.block}.{start.seat}, {block.part}, {block.town}",
         episode=f"{suite.file.set} {start.block}.{start.seat}",
-        scene=f"{block.town} {block.seed} {block.scene_sha256}" if block.part == TIGHT else "",
+        scene=f"{block.town} {block.seed} {block.scene_sha256}" if block.scene_sha256 is not None else "",
     )
 
 

@@ -206,7 +206,6 @@ def sum_kpi_steps(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
         "moving_steps": int(moving.sum()),
         "moving_sum": round(float(distance[moving].sum()), 9),
         "moving_within": int((moving & within).sum()),
-        "stood_steps": int((~free & pushed & stands).sum()),
         "freezes": _long_stretches(frozen, tick_s),
         "road_s": round(sum(each.stands_on_road for each in steps) * tick_s, 6),
         "accel_sq_sum": round(float(np.sum(accelerations**2)), 6),

@@ -10,7 +10,7 @@ from wcsim.agents.evaluation.suite import make
 from wcsim.agents.evaluation.suite.draw import Wanted, free_blocks
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.opening.list_file import load_suite_towns, parse_suite_towns, require_block_towns
-from wcsim.config.suite import SuiteBlock
+from wcsim.config.suite import SuiteBlock, SuiteRecipe
 
 PLACE = SimpleNamespace(name="a", listed="a")
 
@@ -27,9 +27,10 @@ def block_with(*lengths_m: float, **more: object) -> SuiteBlock:
 
 
 def maker_in(work: Path, told: list[str] | None = None, **more: object) -> make._Maker:
-    plain = {"suite": "x-v1", "set": "x", "seed": 0, "free_blocks": 1, "hazards": 1, "profiles": ("b",), "scenes": {}}
-    order = make.MakeOrder(**{**plain, "work": work, **more})
-    return make._Maker(order, (), lambda text, _: (told if told is not None else []).append(text))
+    recipe = SuiteRecipe(**{"suite": "x-v1", "free": 1, "hazards": 1, "profiles": ("b",), **more})
+    said = told if told is not None else []
+    here = {"set": "x", "seed": 0, "work": work, "jobs": 1, "towns": ()}
+    return make._Maker(recipe=recipe, told=lambda text, _: said.append(text), **here)
 
 
 def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
@@ -50,7 +51,7 @@ def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
     blocks = [block_with(9.0, 8.0), block_with(1.0, 7.0, 2.0, 3.0), block_with(1.0)]
     monkeypatch.setattr(make, "free_blocks", lambda *_: blocks)
     monkeypatch.setattr(make._Maker, "_alone", alone)
-    left = maker_in(tmp_path).free(PLACE)
+    left = maker_in(tmp_path).ways(PLACE, "free", 1, 0.5)
     assert [[item.route_m for item in block.episodes] for block in left] == [[9.0, 8.0], [7.0]]
     assert driven == [[[9.0, 8.0], [1.0, 7.0, 2.0, 3.0], [1.0]], [[7.0, 2.0, 3.0]], [[7.0, 3.0]], [[7.0]]]
 
@@ -70,7 +71,7 @@ def test_hazards_are_own_crashes_late_enough_that_could_be_survived_one_chair_ea
 
 
 def test_a_scene_whose_crash_nobody_survives_is_drawn_again_and_counted(tmp_path, monkeypatch):
-    monkeypatch.setattr(make, "tight_block", lambda family, seed: block_with(9.0, town=family, seed=seed))
+    monkeypatch.setattr(make, "scene_block", lambda family, seed: block_with(9.0, town=family, seed=seed))
     ends = [record(0, 0, 5.0), record(0, 0, 5.0, last_moment_s=0.6), record(0, 0, 9.0, status="timed_out")]
     monkeypatch.setattr(make._Maker, "_alone", lambda _, scenes, _what: [ends.pop(0) for _ in scenes])
     said: list[str] = []
@@ -84,9 +85,10 @@ def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wanted = Wanted(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
-    monkeypatch.setattr(make._Maker, "free", lambda _, place: free_blocks(place, wanted, 1, 3))
-    order = maker_in(tmp_path, hazards=0)._order
-    file = make.make_suite(order, parse_suite_towns(str(corner), tmp_path), lambda *_: None)
+    monkeypatch.setattr(make._Maker, "ways", lambda _, place, *_of: free_blocks(place, wanted, 1, 3))
+    recipe = maker_in(tmp_path, hazards=0).recipe
+    towns = parse_suite_towns(str(corner), tmp_path)
+    file = make.make_suite(recipe, towns, lambda *_: None, named="x", seed=0, work=tmp_path)
     require_block_towns(file)
     ((name, town),) = load_suite_towns(file, tmp_path).items()
     assert town.folder == corner and {block.town for block in file.blocks} == {name}

@@ -11,8 +11,6 @@ from wcsim.errors import ConfigError
     [
         (("--suite-file", "My_Town.json"), "--suite-file: got the name 'My_Town'; .* such as my-town"),
         (("--suite-file", f"{'a' * 33}.json"), "at most 32 .* such as a{32}$"),
-        (("--name", "Own suite"), "--name: got the name 'Own suite'; .* at most 64 .* such as own-suite"),
-        (("--name", "__"), "lower-case letters, digits and -$"),
     ],
 )
 def test_a_name_that_no_list_can_have_is_refused_before_anything_is_drawn(words, message, tmp_path, monkeypatch):

@@ -12,7 +12,8 @@ from wcsim.agents.opening.named_policy import make_policy_seat_spec
 from wcsim.agents.policy_api import Policy
 from wcsim.config import RunConfig, parse
 from wcsim.config.held_out import refuse_held_out
-from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile
+from wcsim.config.load import read_toml
+from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile, SuiteRecipe
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import EPISODES, escape, is_file, read_json
 from wcsim.errors import ConfigError, TownError
@@ -21,9 +22,6 @@ from wcsim.towns.scenario.town import Town, content_hash, expanded, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, scene_digest
 from wcsim.towns.scene_folders.families import write_scene
 from wcsim.types import SeatSpec, StartSpec
-
-# The part whose towns are generated scenes.
-TIGHT: Final = "tight"
 
 # Folders of a block in a generated scene.
 SCENE: Final = "scene"
@@ -67,6 +65,12 @@ def open_suite(name_or_path: str) -> HashedSuite:
     return suite_from_file(parse(SuiteFile, read_json(path, EPISODES), escape(path)))
 
 
+def open_recipe(name_or_path: str) -> SuiteRecipe:
+    """The recipe of a list that comes with wcsim, or one at a path. Raises ConfigError."""
+    shipped = _SHIPPED / f"{name_or_path}.toml"
+    return read_toml(shipped if shipped.is_file() else expanded(name_or_path), SuiteRecipe)
+
+
 def open_suite_to_choose_by(name_or_path: str) -> HashedSuite:
     """A list by which something is chosen.
 
@@ -76,7 +80,7 @@ def open_suite_to_choose_by(name_or_path: str) -> HashedSuite:
     suite = open_suite(name_or_path)
     refuse_held_out("town", (f"{MADE}:{town.made_seed}" for town in suite.file.towns), name_or_path)
     for block in suite.file.blocks:
-        if block.part == TIGHT:
+        if block.scene_sha256 is not None:
             refuse_held_out("family", (block.town,), name_or_path)
         refuse_held_out("profile", (episode.profile for episode in block.episodes), name_or_path)
     return suite
@@ -149,7 +153,7 @@ def require_block_towns(file: SuiteFile) -> None:
     """Raises ConfigError for a block in a town that the list does not name."""
     named = {town.name for town in file.towns}
     for block in file.blocks:
-        if block.part != TIGHT and block.town not in named:
+        if block.scene_sha256 is None and block.town not in named:
             raise ConfigError(
                 f"a block is in town {block.town!r}; expected one of {sorted(named)}: add it to "
                 "`towns`"
@@ -172,12 +176,12 @@ class BlockSetup:
 def make_block_setup(
     block: SuiteBlock, config: RunConfig, town: Callable[[], Town], work: Path
 ) -> BlockSetup:
-    """The block's place: its `town`, or the scene of a tight block, built in `work`.
+    """The block's place: its `town`, or its scene, built in `work`.
 
     Raises:
         TownError: The scene differs from the list's, or as `town` does.
     """
-    if block.part != TIGHT:
+    if block.scene_sha256 is None:
         return BlockSetup(town=town(), config=config, seed=block.seed)
     folder = write_scene(block.town, block.seed, work / SCENE)
     sha256 = scene_digest(folder)

@@ -29,7 +29,7 @@ from wcsim.cli.shared.consoles import (
     stdout_console,
 )
 from wcsim.cli.shared.exit_codes import ExitCode
-from wcsim.config.suite import MOST_NAME, MOST_SET, make_suite_name_pattern
+from wcsim.config.suite import MOST_SET, make_suite_name_pattern
 from wcsim.core.own_folder import create_temporary_folder
 from wcsim.core.reading import escape, is_file, pluralize
 from wcsim.errors import ConfigError, InterruptedRunError
@@ -447,24 +447,6 @@ def _place_of_play(text: str, blocks: int) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-@dataclass(frozen=True, slots=True)
-class _Named(common.OptionConstraint):
-    """A name that a list can have, of so many characters at most."""
-
-    most: int
-
-    def check(self, option: str, value: str) -> None:
-        """See `OptionConstraint`."""
-        if re.fullmatch(make_suite_name_pattern(self.most), value):
-            return
-        proposed = re.sub(r"[^a-z0-9]+", "-", value.lower()).strip("-")[: self.most]
-        raise ConfigError(
-            f"{option}: got the name {escape(value, 80)!r}; expected at most {self.most} "
-            "lower-case letters, digits "
-            "and -" + f", such as {proposed}" * bool(proposed)
-        )
-
-
 @dataclass
 class _SuiteMakeOptions:
     """Make a list of test episodes for your own towns."""
@@ -474,18 +456,8 @@ class _SuiteMakeOptions:
     made:SEED is a generated town (`wcsim town make`)."""
     suite_file: Annotated[Path, arg(metavar="FILE"), common.WritableFile()] = Path("suite.json")
     """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
-    name: Annotated[str, _Named(MOST_NAME)] = "own-suite-v1"
-    """Name of the list, with its version."""
-    free: Annotated[int, common.Bounds(0, 10_000)] = 8
-    """Blocks of free routes for each town, six routes each."""
-    hazards: Annotated[int, common.Bounds(0, 10_000)] = 30
-    """Starts, for each town, from which the user alone crashes."""
-    tight: Annotated[int, common.Bounds(0, 10_000)] = 5
-    """Generated scenes of each family of tight places."""
-    to_choose_by: common.Flag = False
-    """Leave out users and scenes that are held out of choices, as --select-by needs."""
-    forks: Annotated[int, common.Bounds(0, 1_000_000)] = 1_000_000
-    """Episodes of the list whose interventions are judged, evenly spread."""
+    recipe: str = "own"
+    """What it is drawn from: own, guard, hard, dev2, validation2, or a file like them (docs/suites.md)."""  # noqa: E501
     jobs: common.Jobs = 1
     """Parallel processes."""
     seed: int = 0
@@ -495,37 +467,37 @@ class _SuiteMakeOptions:
 def run_make_suite_command(words: list[str]) -> int:
     """Make a list and write it."""
     options = common.parse_options(_SuiteMakeOptions, words, "test")
-    _Named(MOST_SET).check("--suite-file", options.suite_file.stem)
+    name = options.suite_file.stem
+    if not re.fullmatch(make_suite_name_pattern(MOST_SET), name):
+        proposed = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:MOST_SET]
+        raise ConfigError(
+            f"--suite-file: got the name {escape(name, 80)!r}; expected at most {MOST_SET} "
+            f"lower-case letters, digits and -{f', such as {proposed}' * bool(proposed)}"
+        )
 
-    from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
+    from wcsim.agents.evaluation.suite.make import make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
-    from wcsim.agents.opening.list_file import parse_suite_towns, suite_from_file, write_list
-    from wcsim.towns.scene_folders.families import LISTED, TRAINED
+    from wcsim.agents.opening import list_file
 
     with create_temporary_folder() as work:
-        order = MakeOrder(
-            suite=options.name,
-            set=options.suite_file.stem,
-            seed=options.seed,
-            free_blocks=options.free,
-            hazards=options.hazards,
-            profiles=("tremor" if options.to_choose_by else "ataxic", "inattentive"),
-            scenes=dict.fromkeys(TRAINED if options.to_choose_by else LISTED, options.tight),
-            to_choose_by=options.to_choose_by,
-            forks=options.forks,
-            jobs=options.jobs,
-            work=work,
-        )
-        towns = parse_suite_towns(options.make_suite, order.work / TOWNS)
+        towns = list_file.parse_suite_towns(options.make_suite, work / TOWNS)
         with StageBar("making the list") as bar:
 
             def show(text: str, share: float) -> None:
                 bar.show(share, "")
                 bar.print_line(text)
 
-            file = make_suite(order, towns, show)
-    write_list(file, options.suite_file)
-    suite = suite_from_file(file)
+            file = make_suite(
+                list_file.open_recipe(options.recipe),
+                towns,
+                show,
+                named=name,
+                seed=options.seed,
+                work=work,
+                jobs=options.jobs,
+            )
+    list_file.write_list(file, options.suite_file)
+    suite = list_file.suite_from_file(file)
     size = f"{pluralize(suite.episodes, 'episode')} in {pluralize(len(file.blocks), 'block')}"
     stdout_console().print(f"{options.suite_file}: {size}, {suite.sha256[:12]}")
     return 0

@@ -64,21 +64,6 @@ class Router:
         point = shapely.Point(xy)
         return float(shapely.distance(self._lines[int(self._tree.nearest(point))], point))
 
-    def places_near(self, xy: XY, near_m: float, far_m: float) -> F64:
-        """Places (n, 2) on pavements, metre by metre, near_m to far_m from a point in a line."""
-        point = shapely.Point(xy)
-        found = [np.zeros((0, 2))]
-        for index in sorted(self._tree.query(point, predicate="dwithin", distance=far_m).tolist()):
-            if self.walk.edges[index].kind is WayKind.SIDEWALK:
-                line = self._lines[index]
-                middle_m = float(shapely.line_locate_point(line, point))
-                first_m, last_m = max(0.0, middle_m - far_m), min(line.length, middle_m + far_m)
-                at_m = np.arange(first_m, last_m, SPACING_M)
-                found.append(shapely.get_coordinates(shapely.line_interpolate_point(line, at_m)))
-        places = np.concatenate(found)
-        away_m = np.hypot(*(places - xy).T)
-        return np.asarray(places[(away_m >= near_m) & (away_m <= far_m)], np.float64)
-
     def random_start(self, rng: np.random.Generator) -> tuple[XY, float]:
         """A place on a pavement, every metre equally likely, and a direction (rad) along it."""
         weights = self._length_m[self._starts]

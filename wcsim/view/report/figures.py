@@ -20,10 +20,10 @@ from matplotlib.figure import Figure
 from wcsim.agents.evaluation.suite.records import STATUSES, EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TOWNS, TestResult
 from wcsim.agents.evaluation.suite.rows import ResultRow
-from wcsim.agents.opening.list_file import TIGHT
 from wcsim.core.reading import pluralize
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scene_folders.families import FAMILIES
 from wcsim.towns.street import load_street
 from wcsim.types import F64, U8, ClassId
 from wcsim.view.report.pages import Cell, Exhibit
@@ -201,11 +201,11 @@ def _levels_of(names: Iterable[str]) -> list[list[str]]:
 
 
 def _towns(result: TestResult, places: dict[str, int], made: Path) -> list[Exhibit]:
-    """A map a town, some of which lie in `made`; tight places are scenes with coordinates of their own, on no map."""
+    """A map a town, some of which lie in `made`; generated scenes have coordinates of their own, and no map."""
     here: dict[str, list[tuple[str, EpisodeRecord]]] = {}
     for name, episodes in result.episodes.items():
         for e in episodes:
-            if e.part != TIGHT and e.steps:
+            if e.town not in FAMILIES and e.steps:
                 here.setdefault(e.town, []).append((name, e))
     return [_town(town, driven, places, made) for town, driven in here.items()]
 
@@ -235,8 +235,8 @@ def _town(town: str, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[
     return Exhibit(
         name=f"town-{town}",
         title=f"Paths in {town}",
-        says="Paths of all episodes in this town, one colour per policy; crosses are own crashes. Scenes of the part "
-        f"tight have their own streets and are not shown.{missing}",
+        says="Paths of all episodes in this town, one colour per policy; crosses are own crashes. Generated "
+        f"scenes have their own streets and are not shown.{missing}",
         columns=("policy", "block", "seat", "what", "s", "x_m", "y_m"),
         rows=[row for name, e in here for row in _way_rows(name, e)],
         svg=out.getvalue(),

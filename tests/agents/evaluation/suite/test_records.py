@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from wcsim.agents.evaluation.suite.alarms import Alarms
-from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
+from wcsim.agents.evaluation.suite.records import EpisodeRecord, Intervention, record_of
 from wcsim.errors import ConfigError
 
 GOOD = EpisodeRecord(
@@ -44,14 +44,16 @@ def test_a_crash_of_another_leaves_what_was_done():
     assert replace(GOOD, status="chair_crashed", fault="other", reason="collision", done_m=5.0).score > 0.0
 
 
-def test_in_a_tight_place_any_crash_is_one_and_standing_in_danger_is_half_of_moving():
-    tight = replace(GOOD, part="tight", route_m=0.0, done_m=0.0, reference_s=10.0)
-    assert tight.score == pytest.approx(0.75)
-    assert replace(tight, status="chair_crashed", fault="other").score == 0.0
-    stands = replace(tight, moving_steps=0, moving_within=0, stood_steps=90)
-    assert stands.score == pytest.approx(0.5)
-    assert replace(tight, stood_steps=80).score == pytest.approx((60 + 40) / 160)
-    assert replace(GOOD, stood_steps=80).score == GOOD.score
+@pytest.mark.parametrize("part", ["streets", "scenes", "held-out", "hazard", "tight"])
+def test_where_it_is_enough_to_survive_needless_steps_alone_cost_something(part):
+    safe = replace(GOOD, part=part)
+    needless = (Intervention(first=5, last=24, verdict="needless", needless_steps=20),)
+    assert safe.steps == 100 and safe.score == 1.0
+    assert replace(safe, interventions=needless).score == pytest.approx(0.8)
+    assert replace(GOOD, interventions=needless).score == GOOD.score
+    assert replace(safe, interventions=needless, judged=False).score == GOOD.score
+    for changes in ({"status": "chair_crashed", "fault": "other"}, {"status": "refused", "steps": 0}):
+        assert replace(safe, **changes).score == 0.0
 
 
 def test_a_record_comes_back_from_json_and_anything_else_is_refused(alarms):
@@ -77,8 +79,17 @@ def test_the_verdict_of_a_fork_is_that_of_its_intervention(alarms):
         alarms.begin(step, True, False)
         alarms.alone_s[step] = alone_s
     alarms.begin(60, True, False)
-    found = [(item.verdict, item.crash_after_s) for item in alarms.interventions()]
-    assert found == [("needed", 1.2), ("needless", None), ("not_judged", None)]
+    found = [(item.verdict, item.crash_after_s, item.needless_steps) for item in alarms.interventions()]
+    assert found == [("needed", 1.2, 0), ("needless", None, 1), ("not_judged", None, 0)]
+
+
+def test_a_long_intervention_is_judged_again_every_two_seconds(alarms):
+    """Needed at first, needless for the next 2 s, and needed again until its end."""
+    asked = [step for step in range(10, 55) if alarms.begin(step, True, False)]
+    assert asked == [10, 30, 50]
+    alarms.alone_s = {10: 1.2, 30: None, 50: 2.0}
+    (whole,) = alarms.interventions()
+    assert (whole.first, whole.last, whole.verdict, whole.needless_steps) == (10, 54, "needed", 20)
 
 
 def test_a_crash_is_missed_when_nothing_was_done_in_the_five_seconds_before(alarms):

@@ -26,7 +26,7 @@ def test_a_row_says_on_what_it_stands():
     assert found["episodes"] == 20 and found["km"] == 2.0 and found["crashes_own"] == 5
     assert found["crashes_per_km"] == 2.5 and found["crashes_per_km_ci"][0] < 2.5 < found["crashes_per_km_ci"][1]
     assert found["status"]["finished"] == 15 and found["status"]["chair_crashed"] == 5
-    assert found["crashed"] == 0.25 and found["crashed_ci"][0] < 0.25 < found["crashed_ci"][1]
+    assert found["crashes_any"] == 5 and found["crashes_any_ci"][0] < 0.25 < found["crashes_any_ci"][1]
     assert json.loads(json.dumps(found, allow_nan=False)).keys() == found.keys()
     assert found["score"] == pytest.approx(0.75 * 0.6) and found["crash_reasons"] == {"collision": 5}
 
@@ -54,7 +54,7 @@ def test_nothing_driven_is_no_number():
     empty = replace(GOOD, status="refused", steps=0, m=0.0, time_s=0.0, moving_steps=0, moving_within=0)
     found = row([empty])
     assert found["crashes_per_km"] is None and found["kpi1"] is None and found["speed_mps"] is None
-    assert found["status"]["refused"] == 1 and found["crashed"] == 0.0
+    assert found["status"]["refused"] == 1 and found["crashes_any"] == 0
 
 
 def test_a_policy_that_failed_in_all_that_it_was_given_has_no_result():
@@ -80,12 +80,12 @@ def test_a_policy_that_did_not_drive_to_the_end_saves_nobody(changes):
 @pytest.mark.parametrize(
     "fool, column, worse",
     [
-        ({"status": "timed_out", "done_m": 3.0, "crossings": 0}, "arrivals", lambda fool, good: fool < good),
+        ({"status": "timed_out", "done_m": 3.0, "crossings": 0}, "arrived", lambda fool, good: fool < good),
         ({"m": 0.0, "done_m": 0.0, "status": "gave_up"}, "score", lambda fool, good: fool == 0.0 < good),
         ({"freezes": 3, "time_s": 40.0}, "freezes", lambda fool, good: fool > good),
         ({"status": "chair_crashed", "fault": "own", "missed": True}, "missed", lambda fool, good: fool > good),
         ({"moving_within": 8}, "kpi1_free_within", lambda fool, good: fool < good),
-        ({"interventions": (Intervention(first=1, last=2, verdict="needless"),)}, "needless", lambda f, g: f > g),
+        ({"interventions": (Intervention(first=1, last=2, verdict="needless"),)}, "unneeded", lambda f, g: f > g),
         ({"done_m": 0.0, "status": "timed_out"}, "score", lambda fool, good: fool == 0.0 < good),
         ({"false_warnings": 2}, "false_warnings_per_km", lambda fool, good: fool > good),
         ({"red_entries": 1}, "red_entries", lambda fool, good: fool > good),
@@ -109,7 +109,7 @@ def test_arrivals_count_where_there_is_a_destination():
     records = [replace(GOOD, block=number, part=part) for number, part in enumerate(parts)]
     records[1] = replace(records[1], status="timed_out")
     _, whole = pooled_rows("a", records, records)
-    assert (whole.arrivals, whole.attempts) == (2, 3)
+    assert (whole.arrived, whole.attempts) == (2, 3)
 
 
 def test_the_indicators_of_a_scripted_drive():
@@ -136,11 +136,11 @@ def test_a_policy_that_stands_freezes_on_the_carriageway():
 
 def test_a_cut_episode_survived():
     found = driven(make_baseline_policy("follow", RunConfig()), Script(crash_at=99), episodes=1, max_steps=5)
-    assert (found.kpi2, found.crashes_own, found.crashes_per_km, found.crashed) == (5, 0, None, 0.0)
+    assert (found.kpi2, found.crashes_own, found.crashes_per_km, found.crashes_any) == (5, 0, None, 0)
 
 
 def test_arrivals_are_nothing_where_no_episode_is_an_attempt_to_arrive():
-    (arrivals,) = (column for column in LOOK if column.key == "arrivals")
+    (arrivals,) = (column for column in LOOK if column.key == "arrived")
     drawn, sent = ([replace(GOOD, part=part, route_m=0.0)] for part in ("Helsinki, ataxic user", "free"))
     assert arrivals.value(row_of("follow", "", drawn, ())) is None
     assert (
@@ -155,4 +155,4 @@ def test_what_else_a_new_figure_changes():
     explained = [key for key in keys if key.endswith("_ci") or f"`{key}`" in page]
     assert [key for key in keys if key not in explained] == ["policy", "part", "episodes"]
     assert (SCORE_VERSION, len(keys)) == (2, 54)
-    assert all(column.interval for column in COLUMNS if column.range_of or column.range_form)
+    assert all(column.interval for column in COLUMNS if column.range_form)

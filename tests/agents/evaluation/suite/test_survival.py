@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from wcsim.agents.evaluation.suite import survival
+from wcsim.agents.evaluation.suite import alarms
 from wcsim.agents.evaluation.suite.drive import Piece
-from wcsim.agents.evaluation.suite.make import SETTINGS, tight_block
+from wcsim.agents.evaluation.suite.make import SETTINGS, scene_block
 from wcsim.agents.evaluation.suite.run import drive_piece
 from wcsim.types import Joystick
 
@@ -20,7 +20,7 @@ def own_cache() -> None:
 
 
 def piece_of(family: str, seed: int) -> Piece:
-    return Piece(index=0, block=tight_block(family, seed), policy="follow", settings=SETTINGS, judged=True)
+    return Piece(index=0, block=scene_block(family, seed), policy="follow", settings=SETTINGS, judged=True)
 
 
 @pytest.mark.parametrize("family, seed, last_s", CELLS)
@@ -34,6 +34,6 @@ def test_a_crash_has_a_last_moment_the_same_each_time(family, seed, last_s):
 
 
 def test_what_no_stick_saves_is_not_survivable(monkeypatch):
-    monkeypatch.setattr(survival, "STICKS", (Joystick(0.0, -1.0),))
+    monkeypatch.setattr(alarms, "STICKS", (Joystick(0.0, -1.0),))
     (record,) = drive_piece(piece_of("reversing-off-kerb-near", 700))
     assert record.own and record.last_moment_s is None

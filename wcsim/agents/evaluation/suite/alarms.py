@@ -1,13 +1,15 @@
-"""Interventions and warnings of one episode, as runs of steps, and forks that say whether they were needed.
+"""What copies of the world say of an episode: whether interventions and warnings were needed, crashes avoidable.
 
-A fork is a copy of the world in which the user drives alone from this tick on.
+A fork is a copy of the world in which somebody else drives from this tick on: the user alone, or a stick that is held.
 """
 
 import struct
 from dataclasses import dataclass, field
 from typing import Final
 
+from wcsim.agents.envs.episode_view import EnvStepResult
 from wcsim.agents.evaluation.suite.records import NEEDED, NEEDLESS, NOT_JUDGED, Intervention
+from wcsim.agents.policy_api import Policy
 from wcsim.bridge.world import World
 from wcsim.bridge.world_copy import in_copy
 from wcsim.bridge.world_rollout import Driver, rollout
@@ -18,6 +20,19 @@ JOINED_S: Final = 0.5  # gaps below this join two runs
 BEFORE_S: Final = 5.0  # an own crash with no intervention so long before was missed
 AHEAD_S: Final = 1.0  # a warning counts when it comes so long before the crash
 ALONE_S: Final = 5.0  # so long a fork looks ahead
+AGAIN_S: Final = 2.0  # after so long an intervention is judged again
+# Whether a crash could be survived.
+EVERY_S: Final = 0.3
+SINCE_S: Final = 3.0  # before the crash
+ON_S: Final = 3.0  # after it: so long no crash may follow
+# Let go, half aside to either side, back, half ahead.
+STICKS: Final = (
+    Joystick(0.0, 0.0),
+    Joystick(0.5, 0.0),
+    Joystick(-0.5, 0.0),
+    Joystick(0.0, -0.5),
+    Joystick(0.0, 0.5),
+)
 _ANSWER: Final = struct.Struct("<i")
 
 
@@ -40,17 +55,27 @@ class Alarms:
     alone_s: dict[int, float | None] = field(default_factory=dict)  # by step: when the user alone would have crashed
 
     def begin(self, step: int, taken: bool, warned: bool) -> bool:
-        """Note a step; whether an intervention or a warning begins with it."""
+        """Note a step; whether an intervention or a warning begins with it, or goes on for another 2 s."""
         begins = taken and _extended(self.taken, step, self.tick_s)
-        return (warned and _extended(self.warned, step, self.tick_s)) or begins
+        again = taken and (step - self.taken[-1][0]) % round(AGAIN_S / self.tick_s) == 0
+        return (warned and _extended(self.warned, step, self.tick_s)) or begins or again
 
     def interventions(self) -> tuple[Intervention, ...]:
-        """Every run, with the verdict of its fork where there was one."""
+        """Every run, with the verdict of its first fork where there was one."""
         found = []
         for first, last in self.taken:
             crash_s = self.alone_s.get(first)
             verdict = NOT_JUDGED if first not in self.alone_s else NEEDLESS if crash_s is None else NEEDED
-            found.append(Intervention(first=first, last=last, verdict=verdict, crash_after_s=crash_s))
+            # What a fork says holds until the next one.
+            forked = [step for step in sorted(self.alone_s) if first <= step <= last]
+            needless = sum(
+                until - step
+                for step, until in zip(forked, [*forked[1:], last + 1], strict=True)
+                if self.alone_s[step] is None
+            )
+            found.append(
+                Intervention(first=first, last=last, verdict=verdict, crash_after_s=crash_s, needless_steps=needless)
+            )
         return tuple(found)
 
     def missed(self, crash_step: int) -> bool:
@@ -79,6 +104,46 @@ class Alarms:
         judged = [span for span in spans if span[0] in self.alone_s or ended]
         false = sum(not any(first <= step <= last + reach for step in came) for first, last in judged)
         return heard, len(dangers), false
+
+
+class Survival:
+    """Looks on while an episode is driven once more up to its crash.
+
+    Args:
+        crash_steps: The step of each seat's crash, counted from the start of its episode.
+        tick_s: Length of a step.
+    """
+
+    def __init__(self, crash_steps: dict[int, int], tick_s: float) -> None:
+        self.last_moment_s: dict[int, float | None] = dict.fromkeys(crash_steps)
+        self._crash_steps, self._tick_s = crash_steps, tick_s
+        self._steps = dict.fromkeys(crash_steps, 0)
+
+    @property
+    def seats(self) -> frozenset[int]:
+        """Those that are looked at."""
+        return frozenset(self._crash_steps)
+
+    def see(self, seat: int, _step: EnvStepResult, world: World, _policy: Policy) -> None:
+        """Try to survive from here, where it is time for that."""
+        if seat not in self._crash_steps:
+            return
+        self._steps[seat] += 1
+        left = self._crash_steps[seat] - self._steps[seat]
+        every, since, on = (round(each_s / self._tick_s) for each_s in (EVERY_S, SINCE_S, ON_S))
+        if not 0 < left <= since or left % every:
+            return
+        for stick in STICKS:
+
+            def hold(_: ClientSnapshot, held: Joystick = stick) -> Joystick:
+                return held
+
+            if crash_tick(world, seat, hold, left + on) is None:
+                self.last_moment_s[seat] = round(left * self._tick_s, 6)
+                return
+
+    def ended(self, seat: int, world: World) -> None:
+        """Nothing is left to do."""
 
 
 def crash_alone_s(world: World, seat: int, actions: ActionSet, tick_s: float) -> float | None:

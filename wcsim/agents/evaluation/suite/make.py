@@ -4,11 +4,12 @@ Which draws a list takes depends on the user alone, who drives all of them befor
 where somebody hits him at once. A hazard is a way on which he crashes by his own fault; the policy takes over 10 s
 before.
 A hazard or scene is left out where no copy of the world shows that his crash could be survived; those are counted.
+What has a town, family or user that is held out of training is in a part of its own.
 """
 
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
@@ -21,12 +22,12 @@ from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.opening.list_file import SCENE, SCENE_TOWN, suite_from_file
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.config import resolve
-from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile, SuiteTown
+from wcsim.config.held_out import HELD_OUT
+from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile, SuiteRecipe, SuiteTown
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import TownError
-from wcsim.towns.making.asked_town import refuse_held_out_town
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_digest, seat_specs
 from wcsim.towns.scene_folders.families import write_scene
@@ -46,51 +47,53 @@ Told = Callable[[str, float], object]  # a line, and the share of its part of th
 _NAMED = 60  # characters of a user, in the name of a part
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MakeOrder:
-    """How large a list is; numbers are for each town."""
-
-    suite: str  # with its version
-    set: str
-    seed: int
-    free_blocks: int
-    hazards: int
-    profiles: tuple[str, ...]  # users of ways and hazards, in turn
-    scenes: Mapping[str, int]  # draws of each family
-    to_choose_by: bool = False  # without what is held out
-    forks: int = 1_000_000  # episodes of the whole list whose interventions are judged, at most
-    jobs: int = 1
-    work: Path  # folder for what is driven meanwhile
-
-
-def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told: Told) -> SuiteFile:
+def make_suite(
+    recipe: SuiteRecipe,
+    towns: Sequence[tuple[Town, int | None]],
+    told: Told,
+    *,
+    named: str,
+    seed: int,
+    work: Path,
+    jobs: int = 1,
+) -> SuiteFile:
     """A list for these towns, each with the seed that it was made of; the user drives all draws alone.
+
+    Args:
+        recipe: What is drawn.
+        towns: Where.
+        told: Hears how far it is.
+        named: The list's set.
+        seed: Of all draws.
+        work: Folder for what is driven meanwhile.
+        jobs: Parallel processes.
 
     Raises TownError for one that is too small, and for two of one name; ConfigError for one that is held out.
     """
     config = resolve("quick", SETTINGS)
     by_name(town for town, _ in towns)
-    listed = [_listed_as(town, seed, order.to_choose_by) for town, seed in towns]
-    named = tuple(
-        SuiteTown(name=name, sha256=content_hash(town), made_seed=seed)
-        for name, (town, seed) in zip(listed, towns, strict=True)
+    listed = [_listed_as(town, made_seed) for town, made_seed in towns]
+    there = tuple(
+        SuiteTown(name=name, sha256=content_hash(town), made_seed=made_seed)
+        for name, (town, made_seed) in zip(listed, towns, strict=True)
     )
     places = [
         DrawPlace(town.name, load_street(town), config, name) for name, (town, _) in zip(listed, towns, strict=True)
     ]
-    maker = _Maker(order, named, told)
-    free = [block for place in places for block in maker.free(place)]
+    maker = _Maker(recipe=recipe, set=named, seed=seed, work=work, jobs=jobs, towns=there, told=told)
+    ways = (("free", recipe.free, 0.0), ("crossing", recipe.crossings, 1.0))
+    free = [block for place in places for each in ways for block in maker.ways(place, *each)]
     hazards = [block for place in places for block in maker.hazards(place)]
-    return maker.listed((*free, *hazards, *maker.scenes()))
+    blocks = [*maker.scenes(), *hazards]
+    for number, block in enumerate(blocks):
+        met = {"family": [block.town], "town": [block.town], "profile": [each.profile for each in block.episodes]}
+        if any(name in HELD_OUT[kind] for kind, names in met.items() for name in names):
+            blocks[number] = block.model_copy(update={"part": "held-out"})
+    return maker.listed((*free, *sorted(blocks, key=lambda block: block.part == "held-out")))
 
 
-def _listed_as(town: Town, made_seed: int | None, to_choose_by: bool = False) -> str:
-    """What a list calls a town, so that a test finds it again: its name where that leads to it, else where it lies.
-
-    Raises ConfigError for one that is held out, for a list to choose by.
-    """
-    if to_choose_by:
-        refuse_held_out_town(town)
+def _listed_as(town: Town, made_seed: int | None) -> str:
+    """What a list calls a town, so that a test finds it again: its name where that leads to it, else where it lies."""
     if made_seed is None:
         with suppress(TownError):
             if find_town(town.name).sumocfg.resolve() == town.sumocfg.resolve():
@@ -99,33 +102,43 @@ def _listed_as(town: Town, made_seed: int | None, to_choose_by: bool = False) ->
     return town.name
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Maker:
     """Draws blocks, and lets the user drive them."""
 
-    def __init__(self, order: MakeOrder, towns: tuple[SuiteTown, ...], told: Told) -> None:
-        self._order, self._towns, self._told = order, towns, told
+    recipe: SuiteRecipe
+    set: str
+    seed: int
+    work: Path
+    jobs: int
+    towns: tuple[SuiteTown, ...]
+    told: Told
 
     def listed(self, blocks: Sequence[SuiteBlock]) -> SuiteFile:
         """A list of these blocks."""
         return SuiteFile(
-            suite=self._order.suite,
-            set=self._order.set,
+            suite=self.recipe.suite,
+            set=self.set,
             settings=SETTINGS,
-            towns=self._towns,
-            forks=self._order.forks,
+            towns=self.towns,
             blocks=tuple(blocks),
         )
 
-    def free(self, place: DrawPlace) -> list[SuiteBlock]:
+    def ways(self, place: DrawPlace, part: str, blocks: int, crossing_share: float) -> list[SuiteBlock]:
         """Blocks of ways whose users start well.
 
         Who is left out is missing in the street of the others: what is left is driven again, until all of it stays.
         """
-        wanted = Wanted(part="free", profiles=self._order.profiles, settings=(USUAL_STREET,))
-        pending = list(enumerate(free_blocks(place, wanted, self._order.free_blocks, self._order.seed)))
+        wanted = Wanted(
+            part=part,
+            profiles=self.recipe.profiles,
+            settings=(USUAL_STREET,),
+            crossing_share=crossing_share,
+        )
+        pending = list(enumerate(free_blocks(place, wanted, blocks, self.seed)))
         done: dict[int, SuiteBlock] = {}
         while pending:
-            records = self._alone([block for _, block in pending], f"{place.name}, free ways", forks=0)
+            records = self._alone([block for _, block in pending], f"{place.name}, {part}", forks=0)
             changed = []
             for index, (number, block) in enumerate(pending):
                 own = [record for record in records if record.block == index]
@@ -144,35 +157,38 @@ class _Maker:
 
     def hazards(self, place: DrawPlace) -> list[SuiteBlock]:
         """Ways of one chair each, drawn until enough of them end in a crash that could be survived."""
-        wanted = Wanted(part="hazard", profiles=self._order.profiles, settings=(USUAL_STREET,))
+        wanted = Wanted(part="streets", profiles=self.recipe.profiles, settings=(USUAL_STREET,))
         found: list[SuiteBlock] = []
+        left_out = 0
         for turn in range(_ROUNDS):
-            missing = self._order.hazards - len(found)
+            missing = self.recipe.hazards - len(found)
             if missing <= 0:
                 break
-            seed = seeding.derive_seed(self._order.seed, "hazards", turn)
+            seed = seeding.derive_seed(self.seed, "hazards", turn)
             drawn = free_blocks(place, wanted, missing * _WAYS // SEATS + 1, seed)
             ways = [block.model_copy(update={"episodes": (each,)}) for block in drawn for each in block.episodes]
             records = self._alone(ways, f"{place.name}, hazards")
-            crashes = [
-                way.model_copy(update={"episodes": (_handed_over(way.episodes[0], record),)})
-                for way, record in zip(ways, records, strict=True)
-                if record.own and record.time_s >= SOONEST_S and record.last_moment_s is not None
-            ]
-            found += crashes[:missing]
+            for way, record in zip(ways, records, strict=True):
+                if not record.own or record.time_s < SOONEST_S:
+                    continue
+                if record.last_moment_s is None:
+                    left_out += 1
+                elif len(found) < self.recipe.hazards:
+                    found.append(way.model_copy(update={"episodes": (_handed_over(way.episodes[0], record),)}))
+        self.told(f"{place.name}, hazards: {len(found)} found, {left_out} left out", 1.0)
         return found
 
     def scenes(self) -> list[SuiteBlock]:
         """Draws of each family as they fall, but for those whose crash no copy of the world survived."""
-        wanted = {family: number for family, number in self._order.scenes.items() if number}
+        wanted = {family: number for family, number in self.recipe.scenes.items() if number}
         found: dict[str, list[SuiteBlock]] = {family: [] for family in wanted}
         drawn, left_out = Counter[str](), Counter[str]()
         for _ in range(_ROUNDS):
             blocks = []
             for family, number in wanted.items():
                 for _ in range(number - len(found[family])):
-                    seed = seeding.derive_seed(self._order.seed, "scenes", family, drawn[family])
-                    blocks.append(tight_block(family, seed))
+                    seed = seeding.derive_seed(self.seed, "scenes", family, drawn[family])
+                    blocks.append(scene_block(family, seed))
                     drawn[family] += 1
             if not blocks:
                 break
@@ -182,17 +198,17 @@ class _Maker:
                 else:
                     found[block.town].append(block)
         for family in wanted:
-            self._told(f"{family}: {drawn[family]} drawn, {left_out[family]} left out", 1.0)
+            self.told(f"{family}: {drawn[family]} drawn, {left_out[family]} left out", 1.0)
         return [block for blocks in found.values() for block in blocks]
 
     def _alone(self, blocks: Sequence[SuiteBlock], what: str, forks: int = 1_000_000) -> tuple[EpisodeRecord, ...]:
         """The user's records; with forks, each crash has its last moment."""
-        order = self._order
-        driven = SuiteOrder(suite=suite_from_file(self.listed(blocks)), out=order.work, jobs=order.jobs, forks=forks)
-        told = self._told
-        return run_suite(driven, (UNAIDED,), lambda _, done, of: told(f"{what}: {done} of {of} blocks", done / of))[
-            UNAIDED
-        ]
+        driven = SuiteOrder(
+            suite=suite_from_file(self.listed(blocks)), out=self.work, jobs=self.jobs, forks=forks, shared=True
+        )
+        return run_suite(
+            driven, (UNAIDED,), lambda _, done, of: self.told(f"{what}: {done} of {of} blocks", done / of)
+        )[UNAIDED]
 
 
 def _handed_over(episode: SuiteEpisode, record: EpisodeRecord) -> SuiteEpisode:
@@ -213,7 +229,7 @@ def _handed_over(episode: SuiteEpisode, record: EpisodeRecord) -> SuiteEpisode:
     )
 
 
-def tight_block(family: str, seed: int) -> SuiteBlock:
+def scene_block(family: str, seed: int) -> SuiteBlock:
     """A block in a generated scene. Raises TownError for one without a start."""
     with create_temporary_folder() as work:
         folder = write_scene(family, seed, work / SCENE)
@@ -226,7 +242,7 @@ def tight_block(family: str, seed: int) -> SuiteBlock:
         if user.startswith(RECORDED):
             user = f"{RECORDED}{Path(user.removeprefix(RECORDED)).name}"
         return SuiteBlock(
-            part="tight",
+            part="scenes",
             town=family,
             scene_sha256=scene_digest(folder),
             seed=seed,

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final, get_type_hints
 
+from wcsim.config.suite import SURVIVED
 from wcsim.core.reading import JsonObject, escape, escape_repr, pluralize
 from wcsim.errors import ConfigError
 
@@ -17,11 +18,9 @@ REFUSED: Final = "refused"
 NOT_REACHED: Final = "not_reached"  # it ended before the policy took over
 STATUSES: Final = (FINISHED, CRASHED, GAVE_UP, TIMED_OUT, POLICY_FAILED, REFUSED, NOT_REACHED)
 
-SCORE_VERSION: Final = 2  # of what a row counts and of its score
+SCORE_VERSION: Final = 3  # of what a row counts and of its score
 
 ON_THE_WAY: Final = ("free", "crossing")  # parts to be driven to the end; in others it is enough to come through
-_TIGHT: Final = "tight"
-_STOOD_COUNTS: Final = 0.5  # a step of standing in danger, in a tight place: it is half of what moving on would be
 
 NEEDED: Final = "needed"
 NEEDLESS: Final = "needless"
@@ -34,12 +33,13 @@ _PLAIN: Final[Mapping[type, tuple[type, ...]]] = {int: (int,), float: (int, floa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intervention:
-    """A run of steps with a joystick distance above 0.1768, gaps under 0.5 s joined, and what its fork said."""
+    """A run of steps with a joystick distance above 0.1768, gaps under 0.5 s joined, and what its forks said."""
 
     first: int  # step of the episode, of the policy's part
     last: int
     verdict: str  # needed, needless or not_judged
     crash_after_s: float | None = None  # of the user alone, from `first` on
+    needless_steps: int = 0  # of a long one some may be
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +70,6 @@ class EpisodeRecord:
     moving_steps: int = 0  # free ones in which the user's stick is out
     moving_sum: float = 0.0
     moving_within: int = 0
-    stood_steps: int = 0  # in danger, in which the user's stick is out and the chair stands
     freezes: int = 0
     goals: int = 0  # destinations reached
     given_up: int = 0
@@ -104,11 +103,14 @@ class EpisodeRecord:
 
     @property
     def score(self) -> float:
-        """0 after an own crash, a drop or a red entry; else way done x pace x obedience, each at most 1.
+        """Where it is enough to survive: 0 after any crash, else the share of steps in no needless intervention.
 
-        In a tight place any crash is one.
+        Elsewhere 0 after an own crash or a red entry, else way done x pace x obedience, each at most 1.
         """
-        if not self.driven or self.red_entries or (self.part == _TIGHT and self.status == CRASHED):
+        if self.part in SURVIVED and self.judged:
+            needless = sum(item.needless_steps for item in self.interventions)
+            return 1.0 - needless / self.steps if self.driven and self.status != CRASHED else 0.0
+        if not self.driven or self.red_entries:
             return 0.0
         done, pace, obeyed = self.score_parts
         return done * pace * obeyed
@@ -118,9 +120,7 @@ class EpisodeRecord:
         """Way done, pace and obedience, each from 0 to 1."""
         done = min(1.0, self.done_m / self.route_m) if self.route_m > 0.0 else 1.0
         pace = min(1.0, self.reference_s / self.time_s) if self.time_s > 0.0 else 1.0
-        stood = self.stood_steps if self.part == _TIGHT else 0
-        asked = self.moving_steps + stood
-        return done, pace, (self.moving_within + _STOOD_COUNTS * stood) / asked if asked else 1.0
+        return done, pace, self.moving_within / self.moving_steps if self.moving_steps else 1.0
 
     @property
     def driven(self) -> bool:

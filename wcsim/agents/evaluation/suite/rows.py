@@ -64,7 +64,6 @@ class Column:
     heading: str
     says: str
     form: str = "{:d}"
-    range_of: str = ""  # the figure whose 95 % range stands beside it; "" for its own, if any
     range_form: str = ""  # of its two ends; "" for that of the figure
     counted_in: str = ""  # key of a number: where that is 0 there is no figure
     after: str = ""  # key of the column before it; "" for the order of the row
@@ -72,7 +71,7 @@ class Column:
     @property
     def interval(self) -> str:
         """Key of its range; "" where there is none."""
-        key = f"{self.range_of or self.key}_ci"
+        key = f"{self.key}_ci"
         return key if key in _FIGURES else ""
 
     def value(self, row: ResultRow) -> Any:
@@ -168,7 +167,7 @@ def _interventions(d: _Drives, verdict: str) -> list[int]:
     return [sum(item.verdict == verdict for item in each.interventions) for each in d.judged]
 
 
-def _needless_range(d: _Drives) -> Range:
+def _unneeded_range(d: _Drives) -> Range:
     mean = bootstrapped(_interventions(d, NEEDLESS))
     return mean and (mean[0] * len(d.judged), mean[1] * len(d.judged))
 
@@ -197,10 +196,16 @@ class ResultRow:
         _GLANCE,
         "drives with a crash: whosever fault it was; the range is a share",
         "{:d} of {row.episodes}",
-        range_of="crashed",
         range_form="{:.0%}",
     )
-    crashes_own: int = _figure(lambda d: d.own, _FAULT, "own crashes: crashes and falls by the chair's fault")
+    crashes_any_ci: Range = _figure(lambda d: wilson(len(d.crashed), len(d.counted)))
+    crashes_own: int = _figure(
+        lambda d: d.own,
+        _FAULT,
+        "own crashes: crashes and falls by the chair's fault; the range is a share",
+        range_form="{:.0%}",
+    )
+    crashes_own_ci: Range = _figure(lambda d: wilson(d.own, len(d.counted)))
     crashes_other: int = _figure(lambda d: len(d.crashed) - d.own, _FAULT, "crashes by others: by another's fault")
     drops: int = _figure(
         lambda d: sum(each.reason == DROP for each in d.crashed),
@@ -223,8 +228,6 @@ class ResultRow:
         _FAULT,
         "red lights: times that the chair entered a crossing at red",
     )
-    crashed: Measured = _figure(lambda d: _share(len(d.crashed), len(d.counted)))
-    crashed_ci: Range = _figure(lambda d: wilson(len(d.crashed), len(d.counted)))
     kpi1: Measured = _figure(
         _ratio("distance_sum", "steps"),
         _OBEDIENCE,
@@ -297,7 +300,7 @@ class ResultRow:
     )
     asked_travel_per_s: Measured = _figure(_ratio("asked_travel", "time_s"))
     speed_mps: Measured = _figure(_ratio("m", "time_s"), _ARRIVAL, "speed, m/s: mean", "{:.2f}", after="crossings")
-    arrivals: int = _figure(
+    arrived: int = _figure(
         lambda d: d.arrived,
         _GLANCE,
         "arrived: at the destination, of drives that have one to reach; the range is a share",
@@ -306,7 +309,7 @@ class ResultRow:
         counted_in="attempts",
     )
     attempts: int = _figure(lambda d: len(d.directed))
-    arrivals_ci: Range = _figure(lambda d: wilson(d.arrived, len(d.directed)))
+    arrived_ci: Range = _figure(lambda d: wilson(d.arrived, len(d.directed)))
     goals: int = _figure(
         _count("goals"),
         _ARRIVAL,
@@ -324,7 +327,8 @@ class ResultRow:
         lambda d: _share(math.fsum(d.scores), len(d.counted)),
         _GLANCE,
         "score: 0 after an own crash or a red light, else share of the route x pace x what was done as "
-        "asked; without a route the last alone; in tight 0 after any crash; mean over drives",
+        "asked; where it is enough to survive 0 after any crash, else share of steps in no unneeded intervention; "
+        "mean over drives",
         "{:.2f}",
     )
     score_ci: Range = _figure(lambda d: bootstrapped(d.scores))
@@ -341,7 +345,7 @@ class ResultRow:
         "needed: judged interventions without which the user crashes within 5 s: a copy of the world says so",
         after="missed",
     )
-    needless: int = _figure(
+    unneeded: int = _figure(
         lambda d: sum(_interventions(d, NEEDLESS)),
         _GLANCE,
         "unneeded interventions: without which nothing happens within 5 s, in the drives that were judged so",
@@ -350,7 +354,7 @@ class ResultRow:
         counted_in="judged_episodes",
         after="kpi1_free_within",
     )
-    needless_ci: Range = _figure(_needless_range)
+    unneeded_ci: Range = _figure(_unneeded_range)
     missed: int = _figure(
         _count("missed"),
         _ALARMS,

@@ -8,11 +8,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
+from wcsim.agents.evaluation.suite.alarms import Survival
 from wcsim.agents.evaluation.suite.drive import LATE_S, Piece, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.records import CRASHED, Records, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
-from wcsim.agents.evaluation.suite.survival import Survival
-from wcsim.agents.opening.list_file import TIGHT, HashedSuite, load_suite_towns, make_block_setup, require_block_towns
+from wcsim.agents.opening.list_file import HashedSuite, load_suite_towns, make_block_setup, require_block_towns
 from wcsim.agents.opening.named_policy import list_policy_overrides, open_named_policy, resolve_policy_config
 from wcsim.agents.policies.served_policy import ServedPolicyClient
 from wcsim.agents.policy_api import UNAIDED, Policy
@@ -209,7 +209,7 @@ def _work_key(piece: Piece) -> str:
 
 def _needs_of(piece: Piece) -> tuple[WorkInputFiles, ...]:
     """What travels with a piece: its town, unless it is a generated scene, and its policy, unless it is a baseline."""
-    towns = (town_to_input_files(piece.town),) if piece.block.part != TIGHT else ()
+    towns = (town_to_input_files(piece.town),) if piece.block.scene_sha256 is None else ()
     named = parse_policy_name(piece.policy)
     if named.kind == "baseline":
         return towns
@@ -350,7 +350,7 @@ def _all_settings(order: SuiteOrder) -> list[str]:
 
 def _users(order: SuiteOrder) -> list[str]:
     """The users of a list; those of a scene lie in it."""
-    blocks = (block for block in order.suite.file.blocks if block.part != TIGHT)
+    blocks = (block for block in order.suite.file.blocks if block.scene_sha256 is None)
     return sorted({episode.profile for block in blocks for episode in block.episodes})
 
 

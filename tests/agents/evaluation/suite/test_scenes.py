@@ -1,10 +1,10 @@
-"""Tight places: generated scenes as blocks of a list, driven like any other."""
+"""Generated scenes as blocks of a list, driven like any other."""
 
 import pytest
 
 from tests.agents.evaluation.suite.lists import Held, config
 from wcsim.agents.evaluation.suite.drive import Piece, drive_block
-from wcsim.agents.evaluation.suite.make import _tight_blocks
+from wcsim.agents.evaluation.suite.make import scene_block
 from wcsim.agents.opening.list_file import make_block_setup
 from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.errors import TownError
@@ -12,8 +12,7 @@ from wcsim.errors import TownError
 
 @pytest.fixture(scope="module")
 def block():
-    (found,) = [item for item in _tight_blocks([3]) if item.town == "reversing-off-kerb"]
-    return found
+    return scene_block("reversing-off-kerb", 3)
 
 
 def driven(block, work, make):
@@ -25,7 +24,7 @@ def driven(block, work, make):
 @pytest.mark.proof
 def test_the_user_alone_reverses_off_the_kerb_and_who_stands_comes_through(block, tmp_path):
     alone = driven(block, tmp_path / "a", lambda: make_baseline_policy("follow", config()))
-    assert alone.part == "tight" and alone.own and alone.missed and alone.score == 0.0
+    assert alone.part == "scenes" and alone.own and alone.missed and alone.score == 0.0
     held = driven(block, tmp_path / "b", lambda: Held(0.0, 0.0))
     assert held.status == "timed_out" and not held.own
     assert any(item.verdict == "needed" for item in held.interventions)
