@@ -5,6 +5,7 @@ A fork is a copy of the world in which somebody else drives from this tick on: t
 
 import struct
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Final
 
 from wcsim.agents.envs.episode_view import EnvStepResult
@@ -68,11 +69,7 @@ class Alarms:
             verdict = NOT_JUDGED if first not in self.alone_s else NEEDLESS if crash_s is None else NEEDED
             # What a fork says holds until the next one.
             forked = [step for step in sorted(self.alone_s) if first <= step <= last]
-            needless = sum(
-                until - step
-                for step, until in zip(forked, [*forked[1:], last + 1], strict=True)
-                if self.alone_s[step] is None
-            )
+            needless = sum(until - step for step, until in pairwise([*forked, last + 1]) if self.alone_s[step] is None)
             found.append(
                 Intervention(first=first, last=last, verdict=verdict, crash_after_s=crash_s, needless_steps=needless)
             )
