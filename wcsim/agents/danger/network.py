@@ -51,6 +51,10 @@ class DangerNet(nn.Module):
         # The order of these modules is the order of the random draws: another one gives another network for a seed.
         self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), _small_init(nn.Linear(48, count)))
         self.base = nn.Parameter(torch.tensor(_BASE))
+        for layer in (*self.down, *self.deep, *self.context.squeeze, *self.context.dense):
+            if isinstance(layer, (nn.Conv2d, nn.Linear)):
+                # PyTorch's own start lets what tells streets apart fade on its way: some seeds never learned a side.
+                nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu")
 
     def forward(self, picture: Tensor, vector: Tensor, swept: Tensor) -> Tensor:
         """Logits (B, A).
