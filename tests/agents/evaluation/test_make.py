@@ -33,9 +33,7 @@ def maker_in(work: Path, told: list[str] | None = None, **more: object) -> make.
     return make._Maker(recipe=recipe, told=lambda text, _: said.append(text), **here)
 
 
-def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(tmp_path, monkeypatch):
     """Ways of 1 m end at once; without them a way of 2 m does, and then one of 3 m."""
     driven: list[list[list[float]]] = []
 
@@ -81,9 +79,7 @@ def test_a_scene_whose_crash_nobody_survives_is_drawn_again_and_counted(tmp_path
     assert said == ["car-door: 2 drawn, 1 left out", "bus-at-corner: 1 drawn, 0 left out"]
 
 
-def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
-    corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(corner, tmp_path, monkeypatch):
     wanted = Wanted(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
     monkeypatch.setattr(make._Maker, "ways", lambda _, place, *_of: free_blocks(place, wanted, 1, 3))
     recipe = maker_in(tmp_path, hazards=0).recipe
@@ -97,13 +93,10 @@ def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
 
 
 @pytest.mark.proof
-def test_a_made_town_is_the_same_wherever_it_is_made_and_kept_where_it_is(tmp_path: Path) -> None:
+def test_a_made_town_is_the_same_wherever_it_is_made(tmp_path):
     from wcsim.towns.scenario.town import content_hash
 
     ((first, seed),) = parse_suite_towns("made:9002", tmp_path / "a")
     ((second, _),) = parse_suite_towns("made:9002", tmp_path / "b")
     assert (first.name, seed) == ("made-9002", 9002)
     assert content_hash(first) == content_hash(second)
-    before = first.net.stat().st_mtime_ns
-    parse_suite_towns("made:9002", tmp_path / "a")
-    assert first.net.stat().st_mtime_ns == before

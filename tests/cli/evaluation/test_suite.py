@@ -60,11 +60,14 @@ def test_a_line_says_which_rules_of_a_run_stay_behind(small, tmp_path, capsys):
         (("--suite", "dev", "--jobs", "0"), "--jobs"),
         (("--suite", "dev", "--sensitivity", "--forks", "3"), "--forks"),
         (("stop", "--suite", "dev", "--play", "0.0", "--sensitivity"), "--sensitivity"),
+        (("--suite", "SMALL", "follow", "--play", "7.0"), "from 0 to 0"),
+        (("--suite", "SMALL", "--play", "0.0"), "takes one policy"),
+        (("--suite", "SMALL", "follow", "--play", "0.9"), "no seat 9"),
     ],
 )
-def test_what_cannot_be_is_refused(words, message, tmp_path, capsys, monkeypatch):
+def test_what_cannot_be_is_refused(words, message, small, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert run(*words) == 2
+    assert run(*(small if word == "SMALL" else word for word in words)) == 2
     assert message in capsys.readouterr().err
 
 
@@ -80,16 +83,6 @@ def test_an_episode_is_driven_again_and_must_be_the_same(small, tmp_path, capsys
     (out / "episodes.json").write_text(json.dumps(episodes), encoding="utf-8")
     assert run(*words, "0.1") == 2
     assert "run the test again" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "words, message",
-    [(("follow", "--play", "7.0"), "from 0 to 0"), (("--play", "0.0"), "takes one policy"),
-     (("follow", "--play", "0.9"), "no seat 9")],
-)  # fmt: skip
-def test_what_cannot_be_played_is_refused(small, words, message, tmp_path, capsys):
-    assert run("--suite", small, "--out", tmp_path / "out", *words) == 2
-    assert message in capsys.readouterr().err
 
 
 def result(records, **changes):

@@ -173,7 +173,7 @@ def _twisted_ramp(rng: np.random.Generator, near: bool = False) -> Draft:
     rise, lean = rng.uniform(-0.06, 0.06), rng.uniform(0.04, 0.09)
     start_m = (
         rng.uniform(-15.0, 0.0),
-        pavement.at(rng.uniform(*((0.38, 0.6) if near else (0.9, 1.2)))),
+        pavement.at(rng.uniform(*((0.32, 0.42) if near else (0.9, 1.2)))),
     )
     begin_s, forward = 0.6, 1.0 if near else float(rng.choice((0.5, 0.75)))
     pull_s = begin_s + rng.uniform(1.0, 2.5)
@@ -370,7 +370,7 @@ def _dooring(rng: np.random.Generator, near: bool = False) -> Draft:
     room_m = (
         _STOPS_S * speed_mps
         + 0.5 * speed_mps**2 / _BRAKE_MPS2
-        + rng.uniform(*((-0.1, 0.1) if near else (0.05, 0.45)))
+        + rng.uniform(*((0.02, 0.2) if near else (0.05, 0.45)))
     )
     panel_m = float(way[-1, 1] + FORE_M + room_m) + END_M
     car = (

@@ -79,35 +79,25 @@ def test_as_many_episodes_are_judged_as_are_asked_for_and_none_for_none():
     assert counts[0] == 0 and 20 <= counts[1] <= 60 and counts[2] == open_suite("dev").episodes
 
 
-def test_what_is_kept_is_of_the_files_that_settings_and_a_network_name(corner, tmp_path, monkeypatch):
+def test_what_is_kept_is_of_the_files_that_a_list_settings_users_a_class_and_a_network_name(
+    corner, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
-    chair, net = tmp_path / "chair.toml", tmp_path / "own_net_of_suites.py"
-    chair.write_text("a = 1")
-    net.write_text("class Net:\n    pass\n")
-    plain = SuiteOrder(suite=suite_in(corner, block_of(corner)), out=tmp_path)
-    order = replace(plain, settings=(f"chair.plant={chair}",), network="own_net_of_suites:Net")
-    seen = {_policy_digest("follow", plain), _policy_digest("follow", replace(order, network=""))}
-    seen |= {_policy_digest("follow", order)}
-    for path in (chair, net):
-        path.write_text(path.read_text() + "\n")
-        seen.add(_policy_digest("follow", order))
-    assert len(seen) == 5 and _policy_digest("follow", order) in seen
-
-
-def test_what_is_kept_is_of_the_files_that_a_list_its_users_and_a_class_name(corner, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("my chair.toml", "chair.toml", "user.toml", "weights.zip"):
-        (tmp_path / name).write_text("1")
+    names = ("my chair.toml", "chair.toml", "user.toml", "weights.zip", "own_net_of_suites.py")
+    for name in names:
+        (tmp_path / name).write_text("class Net:\n    pass\n" if name.endswith("py") else "1")
     (tmp_path / "own_reader.py").write_text('class Reads:\n    files = ("weights.zip", "missing.zip")\n')
     block = block_of(corner)
     mine = block.episodes[0].model_copy(update={"profile": "user.toml"})
     block = block.model_copy(update={"settings": ("chair.plant=chair.toml",), "episodes": (mine,)})
-    order = SuiteOrder(suite=suite_in(corner, block), out=tmp_path, settings=("chair={plant='my chair.toml'}",))
-    seen = {_policy_digest("own_reader:Reads", order)}
-    for name in ("my chair.toml", "chair.toml", "user.toml", "weights.zip"):
-        (tmp_path / name).write_text("2")
+    plain = SuiteOrder(suite=suite_in(corner, block), out=tmp_path)
+    order = replace(plain, settings=("chair={plant='my chair.toml'}",), network="own_net_of_suites:Net")
+    asked = (plain, replace(order, network=""), order)
+    seen = {_policy_digest("own_reader:Reads", each) for each in asked}
+    for name in names:
+        (tmp_path / name).write_text((tmp_path / name).read_text() + "\n")
         seen.add(_policy_digest("own_reader:Reads", order))
-    assert len(seen) == 5 and _policy_digest("own_reader:Reads", order) in seen
+    assert len(seen) == 8 and _policy_digest("own_reader:Reads", order) in seen
 
 
 def test_what_is_kept_is_of_the_code_that_drives(tmp_path):
