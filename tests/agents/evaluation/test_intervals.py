@@ -18,11 +18,7 @@ def test_bounds_are_those_of_tables(events, low, high):
     [(0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (81, 263, 0.2553, 0.3662)],
 )
 def test_shares_have_the_bounds_of_tables_and_a_width_at_their_ends(count, of, low, high):
-    assert wilson(count, of) == pytest.approx((low, high), abs=1e-4)
-
-
-def test_a_share_of_nothing_is_none():
-    assert wilson(0, 0) is None
+    assert wilson(count, of) == pytest.approx((low, high), abs=1e-4) and wilson(0, 0) is None
 
 
 def test_pairs_that_differ_decide_by_their_number_however_many_there_are():

@@ -35,9 +35,9 @@ def maker_in(work: Path, told: list[str] | None = None, **more: object) -> make.
 
 def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(tmp_path, monkeypatch):
     """Ways of 1 m end at once; without them a way of 2 m does, and then one of 3 m."""
-    driven: list[list[list[float]]] = []
+    driven = []
 
-    def alone(_: object, blocks: list[SuiteBlock], *_args: object, **_more: object) -> tuple[EpisodeRecord, ...]:
+    def alone(_, blocks, *_args, **_more):
         lengths = [[item.route_m for item in block.episodes] for block in blocks]
         driven.append(lengths)
         return tuple(

@@ -587,16 +587,10 @@ _USUAL = MappingProxyType[str, Callable[..., Draft]](
         "twisted-ramp": _twisted_ramp,
     }
 )
-# A nearer danger, or a faster one: ranges of parameters that no training draws.
-_NEARER = MappingProxyType[str, Callable[..., Draft]](
-    {
-        f"{name}-near": partial(draw, near=True)
-        for name, draw in _USUAL.items()
-        if name not in (*HELD_OUT["family"], *_OLD)
-    }
-)
-FAMILIES: tuple[str, ...] = (*_USUAL, *_NEARER)
-# Families of lists of version 2, which have no new ones.
-LISTED = tuple(name for name in _USUAL if name not in (*_NEW, *_OLD))
 TRAINED = tuple(name for name in _USUAL if name not in (*HELD_OUT["family"], *_OLD))
 """Families of which trainings draw scenes: none that is held out, or that has a newer version."""
+# Families of lists of version 2, which have no new ones.
+LISTED = tuple(name for name in _USUAL if name not in (*_NEW, *_OLD))
+# A nearer danger, or a faster one: ranges of parameters that no training draws.
+_NEARER = {f"{name}-near": partial(_USUAL[name], near=True) for name in TRAINED}
+FAMILIES: tuple[str, ...] = (*_USUAL, *_NEARER)

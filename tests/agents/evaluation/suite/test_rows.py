@@ -45,11 +45,6 @@ def test_crashes_of_any_fault_are_counted_beside_the_own():
     assert (found["crashes_any"], found["crashes_own"], found["crashes_other"]) == (2, 1, 1)
 
 
-def test_parts_keep_their_order_and_the_whole_is_beside_them():
-    parts, whole = pooled_rows("p", [GOOD, replace(GOOD, part="crossing")], [])
-    assert [item.part for item in parts] == ["free", "crossing"] and whole.episodes == 2
-
-
 def test_nothing_driven_is_no_number():
     empty = replace(GOOD, status="refused", steps=0, m=0.0, time_s=0.0, moving_steps=0, moving_within=0)
     found = row([empty])
@@ -108,7 +103,8 @@ def test_arrivals_count_where_there_is_a_destination():
     parts = ("free", "free", "crossing", "hazard", "tight")
     records = [replace(GOOD, block=number, part=part) for number, part in enumerate(parts)]
     records[1] = replace(records[1], status="timed_out")
-    _, whole = pooled_rows("a", records, records)
+    rows, whole = pooled_rows("a", records, records)
+    assert [row.part for row in rows] == [*parts[1:]] and whole.episodes == 5
     assert (whole.arrived, whole.attempts) == (2, 3)
 
 

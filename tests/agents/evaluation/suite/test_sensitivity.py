@@ -1,6 +1,5 @@
 """Each disturbance alone, against the same episodes driven clean."""
 
-
 import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
