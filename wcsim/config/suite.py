@@ -1,6 +1,5 @@
 """A suite of test episodes, as it lies in a file: frozen models, every field with its bounds."""
 
-from collections.abc import Sequence
 from typing import Annotated, Final, Self
 
 from pydantic import Field, model_validator
@@ -55,21 +54,6 @@ class SuiteBlock(Model):
     seed: Seed  # of the world; of a generated scene its own
     settings: Texts = ()  # section.key=value, over those of the suite
     episodes: Annotated[tuple[SuiteEpisode, ...], Field(min_length=1, max_length=MOST_SEATS)]
-
-
-def find_seats_repeating_free_part(blocks: Sequence[SuiteBlock], index: int) -> frozenset[int]:
-    """The hazards of a block that have street, start and user of an episode of part `free`."""
-    if blocks[index].part != "hazard":
-        return frozenset()
-
-    def drives(block: SuiteBlock) -> list[tuple[object, ...]]:
-        return [
-            (block.town, block.seed, each.start_m, each.goal_m, each.profile)
-            for each in block.episodes
-        ]
-
-    free = {drive for block in blocks if block.part == "free" for drive in drives(block)}
-    return frozenset(seat for seat, drive in enumerate(drives(blocks[index])) if drive in free)
 
 
 class SuiteRecipe(Model):

@@ -16,7 +16,6 @@ from wcsim.agents.opening.named_policy import (
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import RunInfo, create_run_folder, make_run_manifest
 from wcsim.config import RunConfig, resolve
-from wcsim.config.suite import find_seats_repeating_free_part
 from wcsim.errors import PolicyError
 
 OWN = (
@@ -119,11 +118,3 @@ def test_a_block_is_driven_under_them(tmp_path, monkeypatch):
     records = driving.drive_piece(driving.piece_of(order, 0, run, {}, judged=False))
     assert {record.status for record in records} == {"refused"}
     assert configs == [resolve_policy_config(run, "quick", listed(), in_list=True)] and configs[0].reward.drop
-
-
-@pytest.mark.parametrize("name, hazards, again", [("dev", 15, 4), ("validation", 2, 1), ("v1", 46, 21)])
-def test_hazards_that_are_free_episodes_once_more_are_known(name, hazards, again):
-    """Counted in the files by another program, when the lists were looked through from outside."""
-    blocks = open_suite(name).file.blocks
-    assert sum(len(block.episodes) for block in blocks if block.part == "hazard") == hazards
-    assert sum(len(find_seats_repeating_free_part(blocks, index)) for index in range(len(blocks))) == again

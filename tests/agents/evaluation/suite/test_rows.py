@@ -31,9 +31,8 @@ def test_a_row_says_on_what_it_stands():
     assert found["score"] == pytest.approx(0.75 * 0.6) and found["crash_reasons"] == {"collision": 5}
 
 
-@pytest.mark.parametrize("changes", [{"status": "not_reached", "steps": 0}, {"repeats": True}])
-def test_what_the_policy_did_not_do_or_did_already_is_in_no_figure(changes):
-    more = replace(CRASH, **changes)
+def test_what_the_policy_did_not_do_is_in_no_figure():
+    more = replace(CRASH, status="not_reached", steps=0)
     alone, found = row([GOOD] * 9), row([*[GOOD] * 9, more], [*[CRASH] * 9, GOOD])
     assert (found["episodes"], found["uncounted"], found["saved"], found["lost"]) == (9, 1, 9, 0)
     left = {"uncounted", "status", "saved", "lost", "unaided_crashes_own", "mcnemar_p"}
@@ -54,7 +53,7 @@ def test_nothing_driven_is_no_number():
 
 def test_a_policy_that_failed_in_all_that_it_was_given_has_no_result():
     failed = replace(GOOD, status="policy_failed")
-    given = [failed, replace(failed, repeats=True), replace(GOOD, status="not_reached")]
+    given = [failed, replace(failed, seat=2), replace(GOOD, status="not_reached")]
     found = row_of("p", "", given, [])
     assert found.without_result and found.undone == 2
     assert not row_of("p", "", [*given, GOOD], []).without_result

@@ -17,18 +17,33 @@ def own_cache() -> None:
     """None: these scenes are those of every run."""
 
 
-def piece_of(family: str) -> Piece:
-    return Piece(index=0, block=scene_block(family, 700), policy="follow", settings=SETTINGS, judged=True)
+def piece_of(family: str, seed: int = 700) -> Piece:
+    return Piece(index=0, block=scene_block(family, seed), policy="follow", settings=SETTINGS, judged=True)
 
 
 def test_a_crash_has_a_last_moment_the_same_each_time():
     """A door opens too near to brake."""
     piece = piece_of("car-door-near")
     (record,) = drive_piece(piece)
-    assert record.own and record.missed and record.score == 0.0 and record.last_moment_s == 0.9
+    assert (
+        record.own and record.missed and record.score == 0.0 and (record.last_moment_s, record.cause) == (0.9, "missed")
+    )
     assert drive_piece(piece) == (record,)
     # Without forks there is no answer, and nothing else is another.
-    assert drive_piece(replace(piece, judged=False)) == (replace(record, last_moment_s=None, judged=False),)
+    assert drive_piece(replace(piece, judged=False)) == (replace(record, last_moment_s=None, cause="", judged=False),)
+
+
+@pytest.mark.parametrize(
+    "family, seed, policy, cause",
+    [
+        ("overtaking-rider", 1, "dwa", "unseen"),
+        ("turning-beside-drop-near", 21000, "shipped", "late"),
+        ("car-door-near", 22000, "dwa", "in_vain"),
+    ],
+)
+def test_a_crash_has_a_cause(family, seed, policy, cause):
+    (record,) = drive_piece(replace(piece_of(family, seed), policy=policy))
+    assert record.status == "chair_crashed" and record.cause == cause
 
 
 def test_what_no_stick_saves_is_not_survivable_though_who_stands_comes_through(monkeypatch):

@@ -4,18 +4,22 @@ A fork is a copy of the world in which somebody else drives from this tick on: t
 """
 
 import struct
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Final
 
 from wcsim.agents.envs.episode_view import EnvStepResult
-from wcsim.agents.evaluation.suite.records import NEEDED, NEEDLESS, NOT_JUDGED, Intervention
+from wcsim.agents.evaluation.suite.records import NEEDED, NEEDLESS, NOT_JUDGED, EpisodeRecord, Intervention
 from wcsim.agents.policy_api import Policy
 from wcsim.bridge.world import World
 from wcsim.bridge.world_copy import in_copy
 from wcsim.bridge.world_rollout import Driver, rollout
+from wcsim.config import CameraConfig
+from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_matrix
 from wcsim.supervisor.actions import ActionSet
-from wcsim.types import ClientSnapshot, Joystick
+from wcsim.supervisor.rewards import find_hardest_contact
+from wcsim.types import F32, F64, ClientSnapshot, Joystick
 
 JOINED_S: Final = 0.5  # gaps below this join two runs
 BEFORE_S: Final = 5.0  # an own crash with no intervention so long before was missed
@@ -34,7 +38,10 @@ STICKS: Final = (
     Joystick(0.0, -0.5),
     Joystick(0.0, 0.5),
 )
+_REACH_M: Final = 0.5  # from the middle of a chair, or of somebody, to what is met first
 _ANSWER: Final = struct.Struct("<i")
+
+_Moment = tuple[F64, dict[str, F64], list[F32]]  # the chair's pose (3, 4), where actors are, its depth pictures
 
 
 def _extended(spans: list[list[int]], step: int, tick_s: float) -> bool:
@@ -104,29 +111,35 @@ class Alarms:
 
 
 class Survival:
-    """Looks on while an episode is driven once more up to its crash.
+    """Looks on while crashed episodes are driven once more: how late could they be survived, and why were they not?
 
     Args:
-        crash_steps: The step of each seat's crash, counted from the start of its episode.
+        crashed: Their records, by seat.
+        handovers: Steps of each before its policy took over.
         tick_s: Length of a step.
     """
 
-    def __init__(self, crash_steps: dict[int, int], tick_s: float) -> None:
-        self.last_moment_s: dict[int, float | None] = dict.fromkeys(crash_steps)
-        self._crash_steps, self._tick_s = crash_steps, tick_s
-        self._steps = dict.fromkeys(crash_steps, 0)
+    def __init__(self, crashed: Mapping[int, EpisodeRecord], handovers: Mapping[int, int], tick_s: float) -> None:
+        self.records = dict(crashed)
+        self._tick_s = tick_s
+        self._left = {seat: handovers[seat] + record.steps for seat, record in crashed.items()}
+        self._past: dict[int, list[_Moment]] = {seat: [] for seat in crashed}
 
     @property
     def seats(self) -> frozenset[int]:
         """Those that are looked at."""
-        return frozenset(self._crash_steps)
+        return frozenset(self.records)
 
-    def see(self, seat: int, _step: EnvStepResult, world: World, _policy: Policy) -> None:
+    def see(self, seat: int, step: EnvStepResult, world: World, _policy: Policy) -> None:
         """Try to survive from here, where it is time for that."""
-        if seat not in self._crash_steps:
+        if seat not in self.records:
             return
-        self._steps[seat] += 1
-        left = self._crash_steps[seat] - self._steps[seat]
+        (client,) = (each for each in world.snapshot.clients if each.seat == seat)
+        pose = pose_matrix(client.plant.p_WB_m, client.plant.q_WB)
+        places = {actor.whole_id: actor.p_W_m.copy() for actor in world.snapshot.actors}
+        self._past[seat].append((pose, places, [frame.depth_m.copy() for frame in client.sensors.cameras]))
+        self._left[seat] -= 1
+        left = self._left[seat]
         every, since, on = (round(each_s / self._tick_s) for each_s in (EVERY_S, SINCE_S, ON_S))
         if not 0 < left <= since or left % every:
             return
@@ -136,11 +149,44 @@ class Survival:
                 return held
 
             if crash_tick(world, seat, hold, left + on) is None:
-                self.last_moment_s[seat] = round(left * self._tick_s, 6)
+                last_s = round(left * self._tick_s, 6)
+                self.records[seat] = replace(self.records[seat], last_moment_s=last_s)
                 return
 
     def ended(self, seat: int, world: World) -> None:
-        """Nothing is left to do."""
+        """Say why it was not survived."""
+        record = self.records[seat]
+        (client,) = (each for each in world.snapshot.clients if each.seat == seat)
+        hit = find_hardest_contact(record.reason, client.contacts, world.config.reward)
+        # What stands was where the chair went.
+        ahead_m = _REACH_M if client.plant.v_B_mps[0] > 0.0 else -_REACH_M
+        place_m = self._past[seat][-1][0] @ (ahead_m, 0.0, 0.0, 1.0)
+        before = round(BEFORE_S / self._tick_s)
+        shown = any(
+            _shows(camera, pose, places.get(hit.actor_id if hit else "", place_m), depth_m)
+            for pose, places, depths in self._past[seat][-before:]
+            for camera, depth_m in zip(world.config.cameras, depths, strict=False)
+        )
+        moment = record.steps - round((record.last_moment_s or 0.0) / self._tick_s)
+        spans = [item for item in record.interventions if item.last >= record.steps - before]
+        if not spans:
+            cause = "missed" if shown else "unseen"
+        elif spans[0].first > moment:
+            cause = "late"
+        else:
+            cause = "in_vain" if any(item.first <= moment <= item.last for item in spans) else "given_back"
+        self.records[seat] = replace(record, cause=cause)
+
+
+def _shows(camera: CameraConfig, T_WB: F64, p_W_m: F64, depth_m: F32) -> bool:
+    """Whether a place is in a picture, and nothing before it."""
+    x, y, z = camera_matrix(T_WB, mount(camera)) @ (*p_W_m, 1.0)
+    height, width = depth_m.shape
+    lens = pinhole(camera)
+    if z < lens.near_m:
+        return False
+    u, v = (round(0.5 * size + lens.focal_px * at / z) for size, at in ((width, x), (height, y)))
+    return 0 <= u < width and 0 <= v < height and (not depth_m[v, u] or depth_m[v, u] > z - _REACH_M)
 
 
 def crash_alone_s(world: World, seat: int, actions: ActionSet, tick_s: float) -> float | None:

@@ -5,7 +5,7 @@ areas of crowded junctions over lanes, and some refuges are shorter than a chair
 about the map and nothing about a policy.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -77,7 +77,6 @@ class Wanted:
 
     part: Part
     profiles: tuple[str, ...]  # in turn
-    settings: tuple[str, ...] = ()
     way_m: tuple[float, float] = (60.0, 160.0)
     crossing_share: float = 0.5
 
@@ -88,36 +87,27 @@ def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> lis
     for number in range(blocks):
         rng = seeding.make_rng(seed, "suite", place.name, wanted.part, number)
         who = wanted.profiles[number % len(wanted.profiles)]
-        episodes = _apart(_ways(place, wanted, who, rng))
+        # The first ways, up to SEATS, that keep APART_M from one another; their points (n, 2) are a metre apart.
+        episodes: list[SuiteEpisode] = []
+        lines: list[F64] = []
+        for episode, route in _ways(place, wanted, who, rng):
+            points_m = route.points_W_m
+            if all(np.hypot(*(points_m[:, None] - other_m).T).min() > APART_M for other_m in lines):
+                episodes.append(episode)
+                lines.append(points_m)
+                if len(episodes) == SEATS:
+                    break
         if not episodes:
             raise TownError(f"{place.name}: no route of {wanted.way_m[0]:g} m was found; expected a larger town")
-        made.append(_block(place, wanted, seed, number, episodes))
+        made.append(
+            SuiteBlock(
+                part=wanted.part,
+                town=place.listed,
+                seed=seeding.derive_seed(seed, "block", place.name, wanted.part, number),
+                episodes=tuple(episodes),
+            )
+        )
     return made
-
-
-def _block(place: DrawPlace, wanted: Wanted, seed: int, number: int, episodes: Sequence[SuiteEpisode]) -> SuiteBlock:
-    return SuiteBlock(
-        part=wanted.part,
-        town=place.listed,
-        seed=seeding.derive_seed(seed, "block", place.name, wanted.part, number),
-        settings=wanted.settings,
-        episodes=tuple(episodes),
-    )
-
-
-def _apart(ways: Iterator[Way]) -> list[SuiteEpisode]:
-    """The first ways, up to SEATS, that keep APART_M from one another."""
-    taken: list[SuiteEpisode] = []
-    lines: list[F64] = []
-    for episode, route in ways:
-        points_m = route.points_W_m
-        # The points (n, 2) of a way are a metre apart.
-        if all(np.hypot(*(points_m[:, None] - other_m).T).min() > APART_M for other_m in lines):
-            taken.append(episode)
-            lines.append(points_m)
-            if len(taken) == SEATS:
-                break
-    return taken
 
 
 def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[Way]:
@@ -125,7 +115,8 @@ def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) 
     over = float(rng.random() < wanted.crossing_share)
     for _ in range(_TRIES):
         start, yaw_rad = place.router.random_start(rng)
-        if not _clear(place, start, yaw_rad):
+        # Nothing that stands may be in the way; who moves is not there yet.
+        if not is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, lambda _p_W_m, _reach_m: ()):
             continue
         goal = place.router.random_goal(rng, start, *wanted.way_m, over)
         episode, route = _episode(place, start, yaw_rad, goal, who)
@@ -133,11 +124,6 @@ def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) 
         if long_enough and _is_sound(place.street, route, place.outline):
             yield episode, route
             over = float(rng.random() < wanted.crossing_share)
-
-
-def _clear(place: DrawPlace, start: XY, yaw_rad: float) -> bool:
-    """Whether nothing that stands is in the way of a start; who moves is not there yet."""
-    return is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, lambda _p_W_m, _reach_m: ())
 
 
 def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) -> Way:

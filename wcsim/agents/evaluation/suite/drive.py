@@ -59,7 +59,6 @@ class Piece:
     network: str = ""
     preset: str = "quick"
     judged: bool = False  # forks say whether an intervention was needed
-    repeats: frozenset[int] = frozenset()  # its episodes that are free ones of the list once more
     late_s: float = LATE_S
     hook: str = ""  # the user's own step hook, module:Class
 
@@ -295,7 +294,6 @@ def _record(piece: Piece, seat: int, status: str, reason: str, **more: Any) -> E
         part=block.part,
         town=block.town,
         profile=block.episodes[seat].profile,
-        repeats=seat in piece.repeats,
         status=status,
         reason=reason[:400],
         **more,

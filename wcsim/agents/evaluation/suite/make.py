@@ -38,7 +38,6 @@ HANDOVER_S: Final = 10.0  # before the crash of the user alone the policy takes 
 SOONEST_S: Final = 12.0  # a crash before this leaves no time for that
 AFTER_S: Final = 20.0  # so long after the handover a hazard lasts
 SETTINGS: Final = ("cameras.0.noise=typical", "world.action_delay_ticks=2", "env.max_steps=10000")
-USUAL_STREET: Final = "world.attention_share=0.95"
 _ROUNDS: Final = 20  # of draws, until a list gives up
 _WAYS: Final = 6  # that are looked through for each hazard that is missing
 _TICK_S: Final = 0.1  # of a generated scene
@@ -132,7 +131,6 @@ class _Maker:
         wanted = Wanted(
             part=part,
             profiles=self.recipe.profiles,
-            settings=(USUAL_STREET,),
             crossing_share=crossing_share,
         )
         pending = list(enumerate(free_blocks(place, wanted, blocks, self.seed)))
@@ -157,7 +155,7 @@ class _Maker:
 
     def hazards(self, place: DrawPlace) -> list[SuiteBlock]:
         """Ways of one chair each, drawn until enough of them end in a crash that could be survived."""
-        wanted = Wanted(part="streets", profiles=self.recipe.profiles, settings=(USUAL_STREET,))
+        wanted = Wanted(part="streets", profiles=self.recipe.profiles)
         found: list[SuiteBlock] = []
         left_out = 0
         for turn in range(_ROUNDS):

@@ -88,13 +88,13 @@ class EpisodeRecord:
     asked_travel: float = 0.0  # and of the user's own
     helps: int = 0  # times that the user asked for help
     path_m: tuple[tuple[float, float], ...] = ()  # once a second, and at the end, W
-    repeats: bool = False  # a hazard that is a free episode of its list once more
     last_moment_s: float | None = None  # before its crash, at which a copy of the world still survived
+    cause: str = ""  # of its crash: unseen, missed, late, given_back or in_vain
 
     @property
     def counts(self) -> bool:
         """Whether it says something of the policy that no other episode of the list says."""
-        return self.status != NOT_REACHED and not self.repeats
+        return self.status != NOT_REACHED
 
     @property
     def own(self) -> bool:

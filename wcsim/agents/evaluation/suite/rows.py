@@ -185,7 +185,7 @@ class ResultRow:
     uncounted: int = _figure(
         lambda d: len(d.all) - len(d.counted),
         _FAULT,
-        "uncounted: ended before the policy took over, or repeat a free drive",
+        "uncounted: ended before the policy took over",
     )
     status: Mapping[str, int] = _figure(
         lambda d: {name: sum(each.status == name for each in d.all) for name in STATUSES}

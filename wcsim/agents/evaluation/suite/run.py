@@ -21,7 +21,7 @@ from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_folder_
 from wcsim.agents.runs.transfer import folder_to_input_files, require_sendable_run, town_to_input_files
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_from_override
-from wcsim.config.suite import SuiteBlock, find_seats_repeating_free_part
+from wcsim.config.suite import SuiteBlock
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.files import sha256_from_file, sha256_from_text, write_json
@@ -30,7 +30,7 @@ from wcsim.core.plugins import find_user_class_files, import_class
 from wcsim.core.reading import BLOCK, escape, is_file, read_json
 from wcsim.core.sources import hash_package_code, read_package_version
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.server.workers.machines import HERE, ToLocalPath, WorkerPool, WorkerPoolSettings, WorkInputFiles, WorkPiece
+from wcsim.server.workers.machines import HERE, ToLocalPath, WorkerPoolSettings, WorkInputFiles, WorkPiece
 from wcsim.server.workers.scheduler import WorkerStatus, WorkScheduler
 from wcsim.supervisor.actions import action_set
 from wcsim.towns.cache.folder import cache_folder, write_verdict
@@ -150,7 +150,6 @@ def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str
         network=order.network,
         preset=order.preset,
         judged=judged,
-        repeats=find_seats_repeating_free_part(file.blocks, index),
         late_s=order.late_s,
         hook=order.hook,
     )
@@ -176,7 +175,16 @@ def _drive_all(
     # The longest first: a block of many episodes at the end would leave all other processes without work.
     pieces = sorted((piece for piece, _ in asked.values()), key=lambda piece: -len(piece.block.episodes))
     waiting = set(asked)
-    with WorkScheduler(_workers(order, pieces), keep, least_late_s=_LEAST_LATE_S) as scheduler:
+    machines = replace(order.machines, count=order.jobs)
+    if machines.cluster:
+        policies = {piece.policy for piece in pieces}
+        for policy in sorted(policies):
+            if parse_policy_name(policy).kind == "served":
+                told = "is a process of this machine; test other policies, or use --jobs without --cluster"
+                raise ConfigError(f"--cluster: {policy} {told}")
+        own = [policy for policy in policies if parse_policy_name(policy).kind == "class"]
+        require_sendable_run(RunConfig(), _all_settings(order), (*own, order.network, order.hook), _users(order))
+    with WorkScheduler(machines.open(order.out), keep, least_late_s=_LEAST_LATE_S) as scheduler:
         scheduler.submit(
             [WorkPiece(key=_work_key(piece), call=_drive_alone, piece=piece, needs=_needs_of) for piece in pieces]
         )
@@ -187,19 +195,6 @@ def _drive_all(
                 kept[piece.policy, piece.index] = _read_kept(path)
                 done(piece.policy, sum(name == piece.policy for name, _ in kept), blocks)
             order.look(scheduler.workers_now())
-
-
-def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> WorkerPool:
-    machines = replace(order.machines, count=order.jobs)
-    if machines.cluster:
-        policies = {piece.policy for piece in pieces}
-        for policy in sorted(policies):
-            if parse_policy_name(policy).kind == "served":
-                told = "is a process of this machine; test other policies, or use --jobs without --cluster"
-                raise ConfigError(f"--cluster: {policy} {told}")
-        own = [policy for policy in policies if parse_policy_name(policy).kind == "class"]
-        require_sendable_run(RunConfig(), _all_settings(order), (*own, order.network, order.hook), _users(order))
-    return machines.open(order.out)
 
 
 def _work_key(piece: Piece) -> str:
@@ -213,19 +208,17 @@ def _needs_of(piece: Piece) -> tuple[WorkInputFiles, ...]:
     named = parse_policy_name(piece.policy)
     if named.kind == "baseline":
         return towns
-    policy = folder_to_input_files(named.folder, named.place) if named.kind == "onnx" else _policy_parcel(named.place)
-    return (*towns, policy)
-
-
-def _policy_parcel(name: str) -> WorkInputFiles:
-    """A policy by its name without a level, with what its run says of it. Raises PolicyError."""
-    policy = policy_folder_from_name(name).resolve()
-    alone, run = folder_to_input_files(policy, name), policy.parent.parent
+    if named.kind == "onnx":
+        return (*towns, folder_to_input_files(named.folder, named.place))
+    # A policy by its name without a level, with what its run says of it.
+    policy = policy_folder_from_name(named.place).resolve()
+    alone, run = folder_to_input_files(policy, named.place), policy.parent.parent
     if not is_file(run / MANIFEST):
-        return alone
+        return (*towns, alone)
     said = [file for file in (MANIFEST, CONFIG, PLANT) if is_file(run / file)]
     inner = policy.relative_to(run).as_posix()
-    return replace(alone, folder=run, names=(*said, *(f"{inner}/{file}" for file in alone.names)), inner=inner)
+    names = (*said, *(f"{inner}/{file}" for file in alone.names))
+    return (*towns, replace(alone, folder=run, names=names, inner=inner))
 
 
 def _policy_at(name: str, at: ToLocalPath) -> str:
@@ -266,17 +259,14 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> Records:
             return refused(piece, str(error))
         place = make_block_setup(piece.block, config, lambda: find_town(piece.town), work)
         records = drive_block(piece, place, iter(drivers).__next__, watch)
-    crashes = {
-        record.seat: piece.block.episodes[record.seat].handover_step + record.steps
-        for record in records
-        if record.status == CRASHED
-    }
-    if not piece.judged or not crashes:
+    crashed = {record.seat: record for record in records if record.status == CRASHED}
+    if not piece.judged or not crashed:
         return records
-    # Once more up to the crashes: could they still have been survived?
-    survival = Survival(crashes, config.world.tick_s)
+    # Once more up to the crashes: could they still have been survived, and why were they not?
+    handovers = {seat: episode.handover_step for seat, episode in enumerate(piece.block.episodes)}
+    survival = Survival(crashed, handovers, config.world.tick_s)
     drive_piece(replace(piece, judged=False), survival)
-    return tuple(replace(each, last_moment_s=survival.last_moment_s.get(each.seat)) for each in records)
+    return tuple(survival.records.get(each.seat, each) for each in records)
 
 
 def _policy_digest(name: str, order: SuiteOrder) -> str:
@@ -304,7 +294,10 @@ def _identity_of(name: str, preset: str) -> list[Any]:
     if named.kind == "onnx":
         return ["onnx", preset, _hashes(Path(name))]
     if named.kind == "class":
-        read = {**find_user_class_files(name, "policy"), **_read_by(name)}
+        # With the files that the class names in `files`, as far as they are there.
+        listed = getattr(import_class(name, "policy"), "files", ())
+        words = (word for word in listed if isinstance(word, str)) if isinstance(listed, tuple | list) else ()
+        read = find_user_class_files(name, "policy") | {word: Path(word) for word in words if is_file(Path(word))}
         return ["class", name, preset, {part: sha256_from_file(path) for part, path in read.items()}]
     law = ["exported law"] if find_spec("torch") is None else []  # see `open_named_policy`
     return [
@@ -314,13 +307,6 @@ def _identity_of(name: str, preset: str) -> list[Any]:
         *law,
         *([] if named.level is None else [named.level]),
     ]
-
-
-def _read_by(name: str) -> dict[str, Path]:
-    """The files that a class of somebody's own names in `files`, as far as they are there."""
-    named = getattr(import_class(name, "policy"), "files", ())
-    words = (word for word in named if isinstance(word, str)) if isinstance(named, tuple | list) else ()
-    return {word: Path(word) for word in words if is_file(Path(word))}
 
 
 def _own_files(settings: Iterable[str], network: str, users: Iterable[str]) -> dict[str, Path]:
