@@ -144,6 +144,7 @@ def test_a_failure_has_its_pictures_or_says_why_not(text):
     assert shown.count("<img") == 7 and "wcsim test follow" in shown
     missing = failure(text, "f-0-0-0")
     assert "No pictures: it went &lt;script&gt;" in missing and "<img" not in missing
+    assert "Until 0.9 s before, a held stick would have saved the chair" in text
 
 
 def test_the_same_result_gives_the_same_bytes(folder, text):

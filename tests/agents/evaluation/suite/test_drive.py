@@ -163,5 +163,5 @@ def test_danger_is_that_of_the_truth(corner):
 def test_a_record_has_a_field_for_each_measure_and_no_other(corner, monkeypatch):
     monkeypatch.setattr(drive, "EpisodeRecord", lambda **named: named)
     found, _ = drive_block(*order_of(corner, block_of(corner, max_steps=3)), follow)
-    of_crashes = {"fault", "partner", "crash", "last_moment_s"}
+    of_crashes = {"fault", "partner", "crash", "last_moment_s", "cause"}
     assert found.keys() | of_crashes == {field.name for field in fields(EpisodeRecord)}

@@ -19,7 +19,8 @@ from wcsim.supervisor.observation import Observation
 from wcsim.types import F64, ActorState, Joystick, SignalState
 
 NEAR_M: Final = 40.0  # who is farther from the chair is left out
-_OF_FORKS: Final = ("warned", "to_warn", "false_warnings", "interventions", "judged")  # a playback makes no forks
+# A playback makes no forks.
+_OF_FORKS: Final = ("warned", "to_warn", "false_warnings", "interventions", "judged", "last_moment_s", "cause")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

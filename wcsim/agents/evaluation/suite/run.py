@@ -260,7 +260,7 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> Records:
         place = make_block_setup(piece.block, config, lambda: find_town(piece.town), work)
         records = drive_block(piece, place, iter(drivers).__next__, watch)
     crashed = {record.seat: record for record in records if record.status == CRASHED}
-    if not piece.judged or not crashed:
+    if watch is not None or not piece.judged or not crashed:
         return records
     # Once more up to the crashes: could they still have been survived, and why were they not?
     handovers = {seat: episode.handover_step for seat, episode in enumerate(piece.block.episodes)}
