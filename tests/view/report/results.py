@@ -41,7 +41,7 @@ def records_of(policy: str) -> tuple[EpisodeRecord, ...]:
         return (*bad, record(3, red_entries=1), crashed(4), record(5, status="timed_out"))
     if policy == "dwa":
         return (*(record(place) for place in range(5)), record(5, status="timed_out"))
-    worst = crashed(0, partner="pedestrian", end_m=(3.0, 4.0), last_moment_s=0.9, cause="late")
+    worst = crashed(0, partner="pedestrian", end_m=(3.0, 4.0), crash="hit", last_moment_s=0.9, cause="late")
     return (worst, record(1, status="policy_failed", reason=f"RuntimeError: {SCRIPT}"), *map(record, range(2, 6)))
 
 
