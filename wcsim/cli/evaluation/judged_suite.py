@@ -457,7 +457,7 @@ class _SuiteMakeOptions:
     suite_file: Annotated[Path, arg(metavar="FILE"), common.WritableFile()] = Path("suite.json")
     """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
     recipe: str = "own"
-    """What it is drawn from: own, guard, hard, dev2, validation2, or a file like them (docs/suites.md)."""  # noqa: E501
+    """Its recipe: own, guard, hard, dev2, validation2, or a file (docs/suites.md)."""
     jobs: common.Jobs = 1
     """Parallel processes."""
     seed: int = 0

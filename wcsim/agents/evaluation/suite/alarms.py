@@ -134,13 +134,15 @@ class Survival:
         """Try to survive from here, where it is time for that."""
         if seat not in self.records:
             return
+        self._left[seat] -= 1
+        left = self._left[seat]
+        every, since, on, before = (round(each_s / self._tick_s) for each_s in (EVERY_S, SINCE_S, ON_S, BEFORE_S))
+        if left >= before:
+            return
         (client,) = (each for each in world.snapshot.clients if each.seat == seat)
         pose = pose_matrix(client.plant.p_WB_m, client.plant.q_WB)
         places = {actor.whole_id: actor.p_W_m.copy() for actor in world.snapshot.actors}
         self._past[seat].append((pose, places, [frame.depth_m.copy() for frame in client.sensors.cameras]))
-        self._left[seat] -= 1
-        left = self._left[seat]
-        every, since, on = (round(each_s / self._tick_s) for each_s in (EVERY_S, SINCE_S, ON_S))
         if not 0 < left <= since or left % every:
             return
         for stick in STICKS:
@@ -149,9 +151,8 @@ class Survival:
                 return held
 
             if crash_tick(world, seat, hold, left + on) is None:
-                last_s = round(left * self._tick_s, 6)
-                self.records[seat] = replace(self.records[seat], last_moment_s=last_s)
-                return
+                self.records[seat] = replace(self.records[seat], last_moment_s=round(left * self._tick_s, 6))
+                break
 
     def ended(self, seat: int, world: World) -> None:
         """Say why it was not survived."""
@@ -161,14 +162,13 @@ class Survival:
         # What stands was where the chair went.
         ahead_m = _REACH_M if client.plant.v_B_mps[0] > 0.0 else -_REACH_M
         place_m = self._past[seat][-1][0] @ (ahead_m, 0.0, 0.0, 1.0)
-        before = round(BEFORE_S / self._tick_s)
         shown = any(
             _shows(camera, pose, places.get(hit.actor_id if hit else "", place_m), depth_m)
-            for pose, places, depths in self._past[seat][-before:]
+            for pose, places, depths in self._past[seat]
             for camera, depth_m in zip(world.config.cameras, depths, strict=False)
         )
         moment = record.steps - round((record.last_moment_s or 0.0) / self._tick_s)
-        spans = [item for item in record.interventions if item.last >= record.steps - before]
+        spans = [item for item in record.interventions if item.last >= record.steps - round(BEFORE_S / self._tick_s)]
         if not spans:
             cause = "missed" if shown else "unseen"
         elif spans[0].first > moment:

@@ -67,7 +67,7 @@ def make_suite(
         work: Folder for what is driven meanwhile.
         jobs: Parallel processes.
 
-    Raises TownError for one that is too small, and for two of one name; ConfigError for one that is held out.
+    Raises TownError for one that is too small, and for two of one name.
     """
     config = resolve("quick", SETTINGS)
     by_name(town for town, _ in towns)
