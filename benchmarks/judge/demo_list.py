@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, free_blocks
+from wcsim.agents.evaluation.suite.draw import DrawPlace, WaySpec, free_blocks
 from wcsim.agents.evaluation.suite.make import SETTINGS, scene_block
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.opening.list_file import suite_from_file, write_list
@@ -30,7 +30,7 @@ CHOICE_SEEDS: Final = tuple(range(900, 906))  # of the draws that the rule looks
 FRESH_SEED: Final = 950  # of those that are driven
 SEARCHED: Final = 6  # blocks of ways, six each
 FAMILIES, WAYS, FREE = 4, 3, 7  # that are taken
-_WANTED: Final = Wanted(part="free", profiles=("ataxic",), way_m=(30.0, 70.0))
+_WANTED: Final = WaySpec(part="free", profiles=("ataxic",), way_m=(30.0, 70.0))
 _LASTS_STEPS: Final = 1200
 
 

@@ -17,7 +17,7 @@ from wcsim.types import Events, Joystick, Truth
 def driven(
     policy: Policy, env: gym.Env[Any, Any], episodes: int, max_steps: int, seed: int = 0, tick_s: float = 0.1
 ) -> ResultRow:
-    """The first episode begins with the seed; without the truth a step counts as free of danger."""
+    """The first episode begins with the seed."""
     records = []
     policy.begin()
     for number in range(episodes):
@@ -30,7 +30,7 @@ def driven(
             if isinstance(policy, SeesTruth):
                 policy.see(truth)
             seen, _, terminated, truncated, info = env.step(policy.act(seen))
-            steps.append(KpiStep.of(info, truth is None or not truth.danger))
+            steps.append(KpiStep.of(info))
             events = info[OBJECTS].events
             if events.crashed:
                 ended = {"status": CRASHED, **make_crash_fields(events, (), steps, tick_s, RunConfig().reward)}

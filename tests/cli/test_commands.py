@@ -129,9 +129,9 @@ def test_test_writes_what_is_promised(wcsim, folder, corner):
         assert row["episodes"] == 2
         assert row["kpi2"] <= 8
         assert 0.0 <= row["kpi1"] <= math.sqrt(8.0)
-        assert row["crashes_per_km"] is None, "a few metres say nothing about crashes per kilometre"
+        assert row["false_warnings_per_km"] is None, "a few metres say nothing about a kilometre"
     follow, random = rows[0], rows[2]
-    assert follow["kpi1_within"] > 0.9 > random["kpi1_within"]
+    assert follow["followed"] > 0.9 > random["followed"]
     assert wcsim("test", "random", "--town", corner, "--only", *words, *QUICK).code == 0
     again = [row for row in rows if row["policy"] in ("follow", "random")]
     assert read("t.json")["rows"] == again, "equal seeds give equal results"

@@ -21,12 +21,12 @@ AHEAD = Joystick(0.0, 0.8)
 HIT = Contact(kind="car", part="body", impulse_Ns=200.0, cause="other", actor_id="car-1")
 
 
-def step(distance=0.0, free=True, speed_mps=1.0, asked=REST, given=REST, **events) -> KpiStep:
+def step(distance=0.0, speed_mps=1.0, asked=REST, given=REST, **events) -> KpiStep:
     info = {
         "joystick_distance": distance, "speed_mps": speed_mps,
         "objects": InfoObjects(events=replace(CALM, **events), asked=asked, given=given),
     }  # fmt: skip
-    return KpiStep.of(info, free)
+    return KpiStep.of(info)
 
 
 def sums_of(*steps, tick_s=0.1) -> dict[str, Any]:
@@ -34,33 +34,10 @@ def sums_of(*steps, tick_s=0.1) -> dict[str, Any]:
 
 
 def test_a_small_test_by_hand():
-    found = sums_of(*(step(distance, free, 1.5) for distance, free in ((0.0, True), (0.1768, True), (1.0, False))))
-    assert (found["steps"], found["within"], found["free_steps"]) == (3, 2, 2)
+    found = sums_of(*(step(distance, 1.5) for distance in (0.0, 0.1768, 1.0)))
+    assert (found["steps"], found["within"]) == (3, 2)
     assert found["distance_sum"] == pytest.approx(1.1768)
-    assert found["free_sum"] == pytest.approx(0.1768)
     assert found["m"] == pytest.approx(0.45)
-
-
-def test_moving_steps_are_those_with_the_stick_out_and_no_danger():
-    found = sums_of(
-        step(0.1, asked=Joystick(0.0, 0.3)),  # not out by more than 0.3
-        step(0.2, asked=Joystick(0.0, 0.31)),
-        step(0.15, asked=Joystick(-0.25, 0.25)),  # 0.354: turning counts too
-        step(0.9, free=False, asked=AHEAD),
-    )
-    assert (found["moving_steps"], found["moving_within"], found["free_steps"]) == (2, 1, 3)
-    assert found["moving_sum"] == pytest.approx(0.35) and found["free_sum"] == pytest.approx(0.45)
-
-
-def test_blocked_is_half_of_the_throttle_where_the_way_is_free():
-    found = sums_of(
-        step(asked=AHEAD, given=Joystick(0.0, 0.4)),  # half of it
-        step(asked=AHEAD, given=Joystick(0.0, 0.39)),  # less
-        step(asked=Joystick(0.9, 0.3)),  # no push forward
-        step(asked=AHEAD, given=Joystick(0.0, -0.5)),
-        step(free=False, asked=AHEAD),
-    )
-    assert (found["blocked_steps"], found["free_steps"]) == (2, 4)
 
 
 def frozen(ticks, **other):
@@ -111,7 +88,6 @@ sticks = st.builds(Joystick, st.floats(-1, 1), st.floats(-1, 1))
 steps = st.builds(
     step,
     distance=st.floats(0, 2),
-    free=st.booleans(),
     speed_mps=st.sampled_from([0.0, 0.0, -0.5, 1.0]),
     asked=sticks,
     given=sticks,
@@ -125,7 +101,6 @@ def test_never_nan_and_within_bounds(taken):
     found = sums_of(*taken)
     assert all(math.isfinite(value) for value in found.values() if isinstance(value, int | float))
     assert 0.0 <= found["distance_sum"] <= 2.0 * found["steps"] and found["within"] <= found["steps"] == len(taken)
-    assert found["moving_within"] <= found["moving_steps"] <= found["free_steps"] >= found["blocked_steps"]
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(1, 45)), max_size=12))

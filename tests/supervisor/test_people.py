@@ -92,9 +92,9 @@ def test_who_crosses_may_stop_in_the_way(at_m):
 def test_who_ends_a_step_aside_walks_on_along_the_own_line():
     """Its velocity of the moment, half of it sideways, would lead it past; its heading leads it before the chair."""
     coming = person(TOUCH_M + 1.9, Y_M - 0.35, math.pi, (-1.3, -0.8))
-    assert ORACLE.danger(plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 1.0), (coming,))
+    assert ORACLE.assess(plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 1.0), (coming,)).danger
     away = replace(coming, p_W_m=np.array([coming.p_W_m[0], Y_M - 0.8, 0.0]))
-    assert not ORACLE.danger(plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 1.0), (away,))
+    assert not ORACLE.assess(plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 1.0), (away,)).danger
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -105,10 +105,10 @@ def test_who_stands_aside_may_step_back_before_the_chair(yaw, side):
     there = person(TOUCH_M + 0.9, Y_M + aside_m, yaw)
     fast = plant(5.0, Y_M, 0.0, 1.3), Joystick(0.0, 0.8)
     left_m = aside_m * math.cos(yaw)
-    assert not ORACLE.danger(*fast, (there,))
-    assert ORACLE.danger(*fast, (replace(there, deflect_m=left_m),))
-    assert not ORACLE.danger(*fast, (replace(there, deflect_m=0.1 * left_m),))
-    assert not ORACLE.danger(*fast, (replace(there, deflect_m=-left_m),))
+    assert not ORACLE.assess(*fast, (there,)).danger
+    assert ORACLE.assess(*fast, (replace(there, deflect_m=left_m),)).danger
+    assert not ORACLE.assess(*fast, (replace(there, deflect_m=0.1 * left_m),)).danger
+    assert not ORACLE.assess(*fast, (replace(there, deflect_m=-left_m),)).danger
 
 
 # somebody who comes, steps out to the left and back to the own line: metres ahead and to the left, tick by tick
@@ -171,11 +171,11 @@ def test_who_walks_up_to_a_chair_that_stands_is_no_danger():
     assert not said.danger and said.first_s[STAY] == math.inf
     assert np.isfinite(said.first_s[ACTIONS.nearest((0.0, 0.5))])
     behind = person(5.0 - 0.3 - RADIUS_M - 0.4, Y_M, 0.0, (1.6, 0.0))
-    assert not ORACLE.danger(plant(5.0, Y_M, 0.0, 0.6), Joystick(0.0, 0.4), (behind,))
-    assert ORACLE.danger(plant(5.0, Y_M, 0.0, -0.4), Joystick(0.0, -0.6), (behind,))
+    assert not ORACLE.assess(plant(5.0, Y_M, 0.0, 0.6), Joystick(0.0, 0.4), (behind,)).danger
+    assert ORACLE.assess(plant(5.0, Y_M, 0.0, -0.4), Joystick(0.0, -0.6), (behind,)).danger
 
 
 def test_who_stands_beside_may_be_passed_and_not_turned_into():
     beside = person(5.6, Y_M + 0.5 * USUAL_OUTLINE.width_m + RADIUS_M + 0.06, 0.0)
-    assert not ORACLE.danger(plant(5.0, Y_M, 0.0, 1.0), FORWARD, (beside,))
-    assert ORACLE.danger(plant(5.0, Y_M, 0.0, 0.0), Joystick(-1.0, 0.0), (beside,))
+    assert not ORACLE.assess(plant(5.0, Y_M, 0.0, 1.0), FORWARD, (beside,)).danger
+    assert ORACLE.assess(plant(5.0, Y_M, 0.0, 0.0), Joystick(-1.0, 0.0), (beside,)).danger

@@ -24,7 +24,7 @@ def seen(config, window=1):
 
 def step(config, x_m=0.0):
     return PlayedStep(
-        seat=0, step=1, seen=seen(config), asked=Joystick(0.0, 1.0), given=Joystick(0.5, 0.25), speed_mps=1.0,
+        seat=0, step=1, seen=seen(config), requested=Joystick(0.0, 1.0), given=Joystick(0.5, 0.25), speed_mps=1.0,
         motion=(1.0, 0.0), p_W_m=np.array([x_m, 0.0, 0.0]), yaw_rad=0.0, actors=(), chairs=(), signals=(),
     )  # fmt: skip
 

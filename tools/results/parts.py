@@ -66,17 +66,17 @@ def parts(out: Path) -> list[Part]:
     Args:
         out: The folder of everything that is made.
     """
-    found = [Part(name="baselines", says="all baselines on suite dev", steps=(judged(out, ()),))]
+    found = [Part(name="baselines", says="all baselines on suite dev2", steps=(judged(out, ()),))]
     found += [
         Part(name=f"laptop-{seed}", says=f"preset laptop, seed {seed}", steps=(trained(out, f"laptop-{seed}", seed),))
         for seed in SEEDS
     ]
     runs = tuple(f"laptop-{seed}" for seed in SEEDS)
     paper = trained(out, "paper-1", 1, "paper", (f"learn.total_steps={PAPER_STEPS}",))
-    told = f"preset paper, {PAPER_STEPS:,} steps (as long as preset laptop takes), on suite dev"
+    told = f"preset paper, {PAPER_STEPS:,} steps (as long as preset laptop takes), on suite dev2"
     found.append(Part(name="paper", says=told, steps=(paper, judged(out, ("paper-1",)))))
     both = judged(out, runs), judged(out, runs, alone=True, settings=(AT_0_MS,))
-    found.append(Part(name="dev", says="these three networks on suite dev, with and without delay", steps=both))
+    found.append(Part(name="dev2", says="these three networks on suite dev2, with and without delay", steps=both))
     found += [_small(out, preset) for preset in ("quick", "dqn")]
     return found + list(_ablations(out))
 
@@ -84,7 +84,7 @@ def parts(out: Path) -> list[Part]:
 def _small(out: Path, preset: str) -> Part:
     runs = tuple(f"{preset}-{seed}" for seed in SEEDS)
     steps = (*(trained(out, name, int(name[-1]), preset) for name in runs), judged(out, runs, alone=True))
-    return Part(name=preset, says=f"preset {preset}, three seeds, on suite dev", steps=steps)
+    return Part(name=preset, says=f"preset {preset}, three seeds, on suite dev2", steps=steps)
 
 
 def _ablations(out: Path) -> Iterator[Part]:
@@ -117,14 +117,14 @@ def trained(
 
 
 def judged(out: Path, runs: tuple[str, ...], alone: bool = False, settings: tuple[str, ...] = ()) -> Step:
-    """A test of runs on suite dev, beside all baselines or beside the user alone; kept blocks are not driven again."""
-    kind = "-".join(("dev", *(setting.replace("=", "-") for setting in settings)))
+    """A test of runs on suite dev2, beside all baselines or beside the user alone; kept blocks are not driven again."""
+    kind = "-".join(("dev2", *(setting.replace("=", "-") for setting in settings)))
     name = "-".join((kind, *runs))
     policies = tuple(str(out / run) for run in runs) or BASELINES
     # One folder a suite and its settings: what it has kept of the baselines serves every test.
     folder = out / "judged" / kind
     table = out / "tables" / f"{name}.json"
-    words = ("test", *policies, "--suite", "dev", "--jobs", "2", "--out", str(folder), *(("--only",) if alone else ()))
+    words = ("test", *policies, "--suite", "dev2", "--jobs", "2", "--out", str(folder), *(("--only",) if alone else ()))
     words = (*words, *_set(settings), "--json", str(table))
     return Step(words=words, again=(*words, "--resume"), folder=folder, makes=table)
 

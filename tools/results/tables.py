@@ -1,4 +1,4 @@
-"""Results of the parts as Markdown tables: rows of the suites, and three networks pooled."""
+"""Results of the parts as Markdown tables: rows of the suites, and what a delay costs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tools.pages import table
-from tools.results.compared import BLINDED, RIVAL, USER, compared_text
 from tools.results.parts import AT_0_MS, SEEDS, judged
-from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.evaluation.suite.rows import LOOK, Column, ResultRow
 
 
@@ -22,10 +20,7 @@ def page(out: Path) -> str:
         result = json.loads(path.read_text(encoding="utf-8"))
         said = f"{result['suite']}-{result['set']}, list `{result['list_sha256'][:12]}`"
         found.append(f"### {path.stem} ({said})\n\n" + suite_table(result, out))
-    dev = out / "judged" / "dev"
     runs = [name for name in (f"laptop-{seed}" for seed in SEEDS) if (out / name).is_dir()]
-    if (dev / "episodes.json").is_file() and runs:
-        found.append(pooled_text(dev, [str(out / name) for name in runs]))
     found.append(delay_text(out, runs))
     return "\n".join(found)
 
@@ -46,17 +41,8 @@ def _cell(row: ResultRow, column: Column) -> str:
     return f"{figure} ({ends})" if ends else figure or "-"
 
 
-def pooled_text(folder: Path, runs: Sequence[str]) -> str:
-    """Networks of several seeds, pooled, against the baselines; or a line on missing results."""
-    result = read_result(folder)
-    missing = [name for name in (USER, BLINDED, RIVAL, *runs) if name not in result.episodes]
-    if missing:
-        return f"{folder}: has no rows of {', '.join(missing)}; run the parts that make them (--list)\n"
-    return compared_text(result, runs)
-
-
 def delay_text(out: Path, runs: Sequence[str]) -> str:
-    """Scores on `dev` with and without delay, one row a network; "" until both are driven."""
+    """Scores on `dev2` with and without delay, one row a network; "" until both are driven."""
     both = [judged(out, tuple(runs), settings=settings).makes for settings in ((), (AT_0_MS,))]
     if not all(path.is_file() for path in both):
         return ""

@@ -217,11 +217,6 @@ class World(ClosingContextBase):
         moved.chair.place(p_W_m, yaw_rad)
         self._open.traffic.look_again(self._places())
 
-    def in_danger(self, seat: int) -> bool:
-        """Whether a user's stick of now ends badly. ProtocolError when the seat is not taken."""
-        ego = self._seating.at(seat)
-        return ego.in_danger(self._others(ego))
-
     def view_of(self, seat: int) -> UserView:
         """What the user of a seat may know now. ProtocolError when the seat is not taken."""
         ego = self._seating.at(seat)

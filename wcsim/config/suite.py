@@ -12,9 +12,7 @@ MOST_SEATS: Final = 12
 # Characters of a list's name, and of that of its set.
 MOST_NAME: Final = 64
 MOST_SET: Final = 32
-# Parts whose episodes are survived or not; in others one is to arrive.
-SURVIVED: Final = frozenset({"hazard", "tight", "scenes", "streets", "held-out"})
-# One of those, or free, crossing, or a town and its user.
+# Such as free, crossing, or a town and its user.
 Part = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")]
 
 

@@ -1,9 +1,8 @@
 """The paper's two key performance indicators, and what must stand beside them.
 
 KPI 1 is the mean joystick distance between user and agent, KPI 2 the number of steps an episode
-lives. A chair that never moves wins KPI 2, and most steps are easy to follow in. So this counts,
-too, how a policy follows where the user moves and nothing is in the way, and whether it gets
-anywhere: routes, crossings, crashes, and what it holds up.
+lives. A chair that never moves wins KPI 2. So this counts, too, whether it gets anywhere: routes,
+crossings, crashes, and what it holds up.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ MAX_FOLLOW_DISTANCE: Final = 0.1768  # Table 1, sqrt(0.125^2 + 0.125^2)
 FOLLOWED: Final = MAX_FOLLOW_DISTANCE + DISTANCE_TOLERANCE  # up to here a stick counts as followed
 DROP: Final = "drop"  # the crash reason of a fall off a kerb
 _PUSHES: Final = 0.3  # a stick that is out so far is meant
-_BLOCKED_SHARE: Final = 0.5  # a policy blocks that gives less of the user's throttle
 _STANDS_MPS: Final = 0.05
 _FREEZE_S: Final = 3.0
 _ON_ROAD_S: Final = 1.0  # a chair that stands so long on a carriageway stands where it should not
@@ -110,12 +108,11 @@ class KpiStep(NamedTuple):
     user: Joystick
     given: Joystick  # what the chair was given
     speed_mps: float
-    free: bool  # whether the moment of the decision was free of danger
     events: Events
     at_m: tuple[float, float] | None  # W; None where it is not known
 
     @classmethod
-    def of(cls, info: Mapping[str, Any], free: bool) -> KpiStep:
+    def of(cls, info: Mapping[str, Any]) -> KpiStep:
         """One step, from an environment's `info`."""
         objects = info["objects"]
         state, at_m = objects.state, None
@@ -126,7 +123,6 @@ class KpiStep(NamedTuple):
             user=objects.asked,
             given=objects.given,
             speed_mps=float(info["speed_mps"]),
-            free=free,
             events=objects.events,
             at_m=at_m,
         )
@@ -182,12 +178,9 @@ def sum_kpi_steps(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
     user = numbers[:, 1:3]
     given = numbers[:, 3:5]
     speed_mps = numbers[:, 5]
-    free = np.array([each.free for each in steps], np.bool_)
     within = distance <= FOLLOWED
     pushed = np.hypot(*user.T) > _PUSHES
-    moving = free & pushed
     stands = np.abs(speed_mps) < _STANDS_MPS
-    blocked = free & (user[:, 1] > _PUSHES) & (given[:, 1] < _BLOCKED_SHARE * user[:, 1])
     frozen = stands & pushed & (np.hypot(*given.T) < _PUSHES)
     # A crash says nothing of how smooth the drive was.
     smooth = len(steps) - bool(steps and steps[-1].events.crashed)
@@ -200,12 +193,6 @@ def sum_kpi_steps(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
         "m": round(float(np.sum(np.abs(speed_mps) * tick_s)), 6),
         "distance_sum": round(float(distance.sum()), 9),
         "within": int(within.sum()),
-        "free_steps": int(free.sum()),
-        "free_sum": round(float(distance[free].sum()), 9),
-        "blocked_steps": int(blocked.sum()),
-        "moving_steps": int(moving.sum()),
-        "moving_sum": round(float(distance[moving].sum()), 9),
-        "moving_within": int((moving & within).sum()),
         "freezes": _long_stretches(frozen, tick_s),
         "road_s": round(sum(each.stands_on_road for each in steps) * tick_s, 6),
         "accel_sq_sum": round(float(np.sum(accelerations**2)), 6),

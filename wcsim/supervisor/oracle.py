@@ -90,22 +90,6 @@ class CrashOracle:
         self._roll_s = max(_ROLL_OUT_S, roll_s)
         self._reach_m = max(_REACH_M, outline.length_m + chair.v_max_mps * 0.5 * (HOLD_S + roll_s))
 
-    def danger(
-        self,
-        plant: PlantState,
-        joystick: Joystick,
-        actors: Iterable[ActorState],
-        waiting: Sequence[Joystick] = (),
-        accel_mps2: float = 0.0,
-    ) -> bool:
-        """Whether the user's command ends badly, as in `assess`, without the other commands.
-
-        `actors` are the others, this chair not among them.
-        """
-        commands = shape_joysticks(np.array([[joystick.x, joystick.y]]), self._chair)
-        others = self._near(plant, actors, len(waiting) * self._tick_s)
-        return bool(np.isfinite(self._roll_out(plant, commands, others, waiting, accel_mps2)[0]))
-
     def assess(
         self,
         plant: PlantState,

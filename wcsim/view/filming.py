@@ -82,7 +82,7 @@ def film_steps(path: Path, view: MapView, steps: Sequence[PlayedStep], config: R
 
 def sticks(step: PlayedStep) -> tuple[str, str]:
     """The user's stick and the given one in words: x to the right, y ahead."""
-    asked, given = (f"{stick.x:+.2f} {stick.y:+.2f}" for stick in (step.asked, step.given))
+    asked, given = (f"{stick.x:+.2f} {stick.y:+.2f}" for stick in (step.requested, step.given))
     return asked, given
 
 

@@ -5,11 +5,11 @@ import math
 import pytest
 
 from tests.agents.evaluation.suite.lists import config
-from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, _reference_time_s, free_blocks
+from wcsim.agents.evaluation.suite.draw import DrawPlace, WaySpec, _reference_time_s, free_blocks
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 
-FREE = Wanted(part="free", profiles=("ataxic", "inattentive"))
+FREE = WaySpec(part="free", profiles=("ataxic", "inattentive"))
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import episode
 from wcsim.agents.evaluation.suite import make
-from wcsim.agents.evaluation.suite.draw import Wanted, free_blocks
+from wcsim.agents.evaluation.suite.draw import WaySpec, free_blocks
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.opening.list_file import load_suite_towns, parse_suite_towns, require_block_towns
 from wcsim.config.suite import SuiteBlock, SuiteRecipe
@@ -30,7 +30,7 @@ def maker_in(work: Path, told: list[str] | None = None, **more: object) -> make.
     recipe = SuiteRecipe(**{"suite": "x-v1", "free": 1, "hazards": 1, "profiles": ("b",), **more})
     said = told if told is not None else []
     here = {"set": "x", "seed": 0, "work": work, "jobs": 1, "towns": ()}
-    return make._Maker(recipe=recipe, told=lambda text, _: said.append(text), **here)
+    return make._Maker(recipe=recipe, report=lambda text, _: said.append(text), **here)
 
 
 def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(tmp_path, monkeypatch):
@@ -80,7 +80,7 @@ def test_a_scene_whose_crash_nobody_survives_is_drawn_again_and_counted(tmp_path
 
 
 def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(corner, tmp_path, monkeypatch):
-    wanted = Wanted(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
+    wanted = WaySpec(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
     monkeypatch.setattr(make._Maker, "ways", lambda _, place, *_of: free_blocks(place, wanted, 1, 3))
     recipe = maker_in(tmp_path, hazards=0).recipe
     towns = parse_suite_towns(str(corner), tmp_path)

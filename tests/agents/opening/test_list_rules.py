@@ -6,7 +6,7 @@ import pytest
 
 from wcsim.agents.evaluation.suite import run as driving
 from wcsim.agents.evaluation.suite.run import _identity_of
-from wcsim.agents.evaluation.suite.sensitivity import CLEAN
+from wcsim.agents.evaluation.suite.shifts import CLEAN
 from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.opening.named_policy import (
     RULES,

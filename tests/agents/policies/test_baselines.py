@@ -131,7 +131,7 @@ def test_baselines_in_the_toy_street_rank_as_they_must():
         name: driven(make_baseline_policy(name, config, seed=3), ToyStreet(camera, max_steps=200), 4, 200, seed=11)
         for name in BASELINES
     }
-    assert rows["follow"].kpi1_within == pytest.approx(1.0)
+    assert rows["follow"].followed == pytest.approx(1.0)
     assert rows["follow"].crashes_own >= 3
     assert rows["stop"].crashes_own <= 1
     assert rows["stop"].speed_mps > 0.2

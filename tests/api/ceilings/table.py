@@ -50,7 +50,7 @@ ROWS: Final = (
     Row(name="JavaScript: lines", first=1_632, ceiling=1_632, count=lambda: measures.text_lines(".js")),
     Row(name="HTML and CSS: lines", first=754, ceiling=754, count=lambda: measures.text_lines(".html", ".css")),
     Row(name="templates: lines", first=0, ceiling=356, count=lambda: measures.text_lines(".jinja", ".j2")),
-    Row(name="tools: tokens", first=13_871, ceiling=13_633, count=lambda: measures.tokens("tools")),
+    Row(name="tools: tokens", first=13_871, ceiling=11_411, count=lambda: measures.tokens("tools")),
     Row(name="examples: tokens", first=2_835, ceiling=6_150, count=lambda: measures.tokens("examples")),
     Row(name="benchmarks: tokens", first=55_115, ceiling=62_120, count=lambda: measures.tokens("benchmarks")),
     Row(name="tests: tokens", first=619_290, ceiling=620_503, count=lambda: measures.tokens("tests")),

@@ -70,7 +70,7 @@ def test_a_table_has_the_columns_of_the_console(tmp_path):
     write_result(tmp_path)
     lines = suite_table(json.loads((tmp_path / "result.json").read_text("utf-8")), tmp_path).splitlines()
     assert "| part | policy | drives with a crash | did what was asked |" in lines[0]
-    assert any(line.startswith("| all | dwa | 0 of 6 (0% to ") for line in lines)
+    assert any(line.startswith("| all | dwa | 0 of 12 (0% to ") for line in lines)
 
 
 def test_what_a_delay_costs_is_said_once_both_lists_are_driven(tmp_path):

@@ -117,13 +117,11 @@ def test_the_tables_show_what_was_counted_and_call_the_oracles_upper_bounds():
         "fault": "own",
         "crash": "fell off a kerb, edge e",
     }
-    record = replace(
-        GOOD, **crash, m=100.0, distance_sum=25.0, within=33, free_steps=80, free_sum=4.0, moving_sum=2.4, goals=2
-    )
+    record = replace(GOOD, **crash, m=100.0, distance_sum=25.0, within=33, goals=2)
     text = shown(result({"follow": [record] * 2}), width=80)
     assert max(map(len, text.splitlines())) <= 80
     rows = [line.split()[1:] for line in text.splitlines() if line.split()[:1] == ["follow"]]
-    assert rows == [["2", "of", "2", "75%", "0", "in", "2", "0", "of", "2", "0.00"]]
+    assert rows == [["2", "of", "2", "33%", "0", "in", "2", "0", "of", "2", "-"]]
     assert "follow, episode 0.1: drop, own fault: it fell off a kerb, edge e" in text and "upper bound" not in text
     both = shown(result({name: [record] for name in ("follow", "oracle-visible", "oracle")}))
     assert "upper bound" in both and "road users in its cameras" in " ".join(both.split())

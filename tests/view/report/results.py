@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wcsim.agents.evaluation.suite.records import EpisodeRecord
+from wcsim.agents.evaluation.suite.records import NEEDLESS, EpisodeRecord, Intervention
 from wcsim.agents.evaluation.suite.result_files import TestResult, read_episodes, result_of
 
 SCRIPT = "<script>alert(1)</script>"
@@ -19,8 +19,7 @@ def record(place: int, **changes: Any) -> EpisodeRecord:
     plain: dict[str, Any] = {
         "block": place // 2, "seat": place % 2, "part": "free" if place < 4 else "hazard", "town": "nowhere",
         "profile": "ataxic", "status": "finished", "steps": 100, "time_s": 1.5, "m": 40.0, "route_m": 50.0,
-        "done_m": 50.0, "reference_s": 1.2, "distance_sum": 4.0, "free_steps": 90, "moving_steps": 80,
-        "moving_within": 76, "end_m": (2.5, 0.0),
+        "done_m": 50.0, "distance_sum": 4.0, "within": 95, "end_m": (2.5, 0.0),
     }  # fmt: skip
     return EpisodeRecord(**{**plain, **changes})
 
@@ -35,14 +34,22 @@ def unreached(place: int) -> EpisodeRecord:
 
 
 def records_of(policy: str) -> tuple[EpisodeRecord, ...]:
-    """`follow` falls and hits in four of six, `dwa` in none, the others in between."""
+    """`follow` falls and hits in eight of twelve, `dwa` in none, the others in between."""
+    late = [record(place, status="timed_out") for place in (5, 10, 11)]
     if policy == "follow":
         bad = [crashed(0, reason="drop"), crashed(1, partner="car"), crashed(2, partner="static")]
-        return (*bad, record(3, red_entries=1), crashed(4), record(5, status="timed_out"))
+        return (*bad, record(3, red_entries=1), crashed(4), late[0], *map(crashed, range(6, 10)), *late[1:])
     if policy == "dwa":
-        return (*(record(place) for place in range(5)), record(5, status="timed_out"))
+        return (*map(record, range(5)), late[0], *map(record, range(6, 10)), *late[1:])
+    needless = Intervention(first=1, last=9, verdict=NEEDLESS, needless_steps=9)
+    helped = record(11, interventions=(needless,))
     worst = crashed(0, partner="pedestrian", end_m=(3.0, 4.0), crash="hit", last_moment_s=0.9, cause="late")
-    return (worst, record(1, status="policy_failed", reason=f"RuntimeError: {SCRIPT}"), *map(record, range(2, 6)))
+    return (
+        worst,
+        record(1, status="policy_failed", reason=f"RuntimeError: {SCRIPT}"),
+        *map(record, range(2, 11)),
+        helped,
+    )
 
 
 UNSAID = {"list_name": "try", "preset": "quick", "network": "", "out": ""}

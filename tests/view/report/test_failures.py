@@ -93,7 +93,7 @@ def test_a_steady_speed_is_told_however_long_the_episode(steps):
         at_rest = Joystick(0.0, 0.0)
         objects = InfoObjects(state=state, events=CALM, asked=at_rest, given=at_rest)
         told = {"objects": objects, "joystick_distance": 0.0, "speed_mps": 1.5}
-        driven.append(KpiStep.of(told, True))
+        driven.append(KpiStep.of(told))
     path_m = sum_kpi_steps(driven, 0.1)["path_m"]
     assert _last_speed_mps(kept(path_m, 0.1 * steps)) == pytest.approx(1.5, abs=0.2 if steps in (11, 121) else 0.06)
 

@@ -13,12 +13,12 @@ from html.parser import HTMLParser
 
 import pytest
 
-from tests.view.report.results import POLICIES, SCRIPT, score_anew, write_result
+from tests.view.report.results import POLICIES, SCRIPT, score_anew, with_episodes, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.evaluation.suite.rows import GROUPS
 from wcsim.view.report.comparisons import verdict
 from wcsim.view.report.failures import Illustration, _SeenMoment, failures_of
-from wcsim.view.report.figures import _obedience_figure, figures_of
+from wcsim.view.report.figures import figures_of
 from wcsim.view.report.suite_page import write_suite_page
 
 VOID = {"meta", "img", "br", "link", "input"}
@@ -112,11 +112,11 @@ def test_the_figures_csv_are_there_and_on_the_page(text, folder):
     links = {found["download"]: found["href"] for found in page.all("a") if "download" in found}
     files = {path.name for path in (folder / "report").glob("*.csv")}
     parts = {"table-all.csv", "table-free.csv", "table-hazard.csv", "comparison.csv", "episodes.csv"}
-    drawn = {"obedience.csv", "town-nowhere.csv", "status.csv", "failures.csv"}
+    drawn = {"help.csv", "town-nowhere.csv", "status.csv", "failures.csv"}
     assert files == set(links) == parts | drawn
     for name, address in links.items():
         assert base64.b64decode(address.partition(",")[2]) == (folder / "report" / name).read_bytes()
-    assert {path.stem for path in (folder / "report").glob("*.svg")} >= {"obedience", "town-nowhere"}
+    assert {path.stem for path in (folder / "report").glob("*.svg")} >= {"help", "town-nowhere"}
 
 
 def test_numbers_are_those_of_the_result(text, folder, said):
@@ -151,22 +151,14 @@ def test_the_same_result_gives_the_same_bytes(folder, text):
     assert written(folder).read_text() == text
 
 
-def test_who_hardly_obeys_does_not_squeeze_the_figure_of_obedience(folder, said):
+def test_crashes_are_drawn_over_unneeded_help_where_it_was_judged(folder, tmp_path):
     result = read_result(folder)
-    places = {name: place for place, name in enumerate(result.episodes)}
-    low = dataclasses.replace(
-        result,
-        pooled=[
-            dataclasses.replace(row, kpi1_free_within=0.1, kpi1_free_within_ci=(0.05, 0.2))
-            if row.policy == "follow"
-            else row
-            for row in result.pooled
-        ],
-    )
-    drawn, without = (_obedience_figure(one, places) for one in (result, low))
-    assert "Not drawn" not in drawn.says
-    assert "Not drawn, below 50 %: follow." in without.says
-    assert "follow" in without.csv and drawn.svg != without.svg
+    (drawn,) = (each for each in figures_of(result, folder) if each.name == "help")
+    rows = {row["policy"]: row for row in csv.DictReader(io.StringIO(drawn.csv))}
+    assert float(rows["follow"]["crashes"]) == pytest.approx(8 / 12, abs=1e-6)
+    assert list(rows) == list(POLICIES) and float(rows["dwa"]["unneeded"]) == 0.0
+    blind = {name: [dataclasses.replace(e, judged=False) for e in found] for name, found in result.episodes.items()}
+    assert "help" not in {each.name for each in figures_of(with_episodes(result, blind), folder)}
 
 
 def test_a_town_that_was_made_for_a_list_is_drawn_from_the_results_folder(tmp_path, corner):

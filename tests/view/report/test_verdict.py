@@ -1,5 +1,6 @@
 """The verdict of a test: figures of the result in plain words, and no winner by chance."""
 
+from dataclasses import replace
 from textwrap import wrap
 
 from tests.view.report.results import SCRIPT, crashed, record, with_episodes
@@ -20,18 +21,18 @@ def driven(result, policy, records):
 def test_it_counts_crashes_and_arrivals_and_says_what_help_costs(result):
     said = verdict(only(result, "follow", "dwa"))
     assert said.startswith(
-        "Of 6 drives, the user crashed in 4 alone and in 0 with dwa; "
+        "Of 12 drives, the user crashed in 8 alone and in 0 with dwa; "
         "of 4 with a destination, 1 arrived alone and 4 with dwa. "
     )
-    assert said.endswith(" In safe moments dwa did 95 % as requested, with 0 unneeded interventions.")
+    assert said.endswith(" Over all steps dwa did 95 % as requested, with 0 unneeded interventions.")
     needless = Intervention(first=1, last=2, verdict=NEEDLESS)
     busy = driven(
-        only(result, "follow", "dwa"), "dwa", [record(0, interventions=(needless,)), *map(record, range(1, 6))]
+        only(result, "follow", "dwa"), "dwa", [record(0, interventions=(needless,)), *map(record, range(1, 12))]
     )
     assert verdict(busy).endswith("with 1 unneeded intervention.")
-    some = driven(busy, "dwa", [record(0, interventions=(needless,)), *(record(n, judged=False) for n in range(1, 6))])
+    some = driven(busy, "dwa", [record(0, interventions=(needless,)), *(record(n, judged=False) for n in range(1, 12))])
     assert verdict(some).endswith("with 1 unneeded intervention in 1 judged drive.")
-    blind = driven(busy, "dwa", [record(n, judged=False) for n in range(6)])
+    blind = driven(busy, "dwa", [record(n, judged=False) for n in range(12)])
     assert verdict(blind).endswith(" as requested.")
 
 
@@ -45,15 +46,16 @@ def test_no_policy_is_best_that_the_intervals_cannot_tell_from_another(result):
     assert f"The scores of the best {1 + apart.count(False)} of 5 policies" in said
     three = only(result, "dwa", "net@0.25", "net@0.75")
     assert " The scores of dwa, net@0.25 and net@0.75 cannot be told apart here. " in verdict(three)
-    strangers = with_episodes(result, {**result.episodes, "follow": result.episodes["follow"][:0]})
+    elsewhere = [replace(item, block=item.block + 9) for item in result.episodes["follow"]]
+    strangers = driven(result, "follow", elsewhere)
     assert "the user alone among them" in verdict(strangers), "they share no episode"
     few = only(result, "follow", "dwa")
-    few = with_episodes(few, {name: found[:2] for name, found in few.episodes.items()})
+    few = with_episodes(few, {name: found[4:6] for name, found in few.episodes.items()})
     assert "Of 2 drives, " in verdict(few) and "Fewer than 6 drives cannot tell policies apart." in verdict(few)
 
 
 def test_the_film_is_of_a_drive_that_the_help_brought_to_its_end(result):
-    helped = record(0, status="gave_up"), *map(record, range(1, 6))
+    helped = record(0, status="gave_up"), *map(record, range(1, 12))
     assert telling_episode(driven(result, "dwa", helped), "dwa") == (0, 1)
 
 
@@ -74,10 +76,10 @@ def test_own_policies_come_first_and_it_stays_short(result):
 def test_a_test_of_the_user_alone_or_of_bounds_crowns_nothing(result):
     assert (
         verdict(only(result, "follow"))
-        == "Of 6 drives, the user crashed in 4 alone; of 4 with a destination, 1 arrived alone."
+        == "Of 12 drives, the user crashed in 8 alone; of 4 with a destination, 1 arrived alone."
     )
     assert verdict(only(result, "dwa")).startswith(
-        "Of 6 drives, the user crashed in 0 with dwa; of 4 with a destination, 4 arrived with dwa. In safe"
+        "Of 12 drives, the user crashed in 0 with dwa; of 4 with a destination, 4 arrived with dwa. Over all"
     )
     one = driven(only(result, "follow"), "follow", [crashed(0)])
     assert verdict(one) == "Of 1 drive, the user crashed in 1 alone; of 1 with a destination, 0 arrived alone."

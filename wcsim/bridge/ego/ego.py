@@ -359,12 +359,6 @@ class Ego:
         seen = self._oracle.assess(plant, stick, others, waiting, known, accel_mps2)
         return replace(seen, intent=self.user.intent, progress_m=self._progressed_m)
 
-    def in_danger(self, others: Sequence[ActorState]) -> bool:
-        """Whether the user's stick of now ends badly: `Truth.danger`, for any seat."""
-        plant, waiting = self.chair.state(), tuple(self._waiting)
-        accel_mps2 = self.chair.drive_accel_mps2()
-        return self._oracle.danger(plant, self.user.joystick, others, waiting, accel_mps2)
-
     def snapshot(
         self, tick: int, sensors: SensorFrame, events: Events, truth: Truth | None
     ) -> ClientSnapshot:

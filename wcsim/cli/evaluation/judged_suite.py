@@ -19,7 +19,7 @@ from tyro.conf import Positional, arg
 
 from wcsim.agents.opening.named_policy import resolve_policy_config
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
-from wcsim.cli.evaluation.result_tables import print_disturbance_sensitivity, print_test_result
+from wcsim.cli.evaluation.result_tables import print_shifts, print_test_result
 from wcsim.cli.shared import common
 from wcsim.cli.shared.consoles import (
     StageBar,
@@ -115,9 +115,9 @@ class _OfSuite(_DriveOptions):
 class _SuiteOptions(_OfSuite, SuiteTestOptions):
     """Test policies on a fixed list of routes, crossings, hazards and tight places.
 
-    With `--sensitivity` they drive it without disturbances, and with each alone: which changes the score?
+    With `--sensitivity` they drive its shifts, too: what does each change cost?
     With `--play BLOCK.SEAT` one policy drives that episode again.
-    """  # noqa: E501
+    """
 
     clean: bool = False
     """Turn off camera noise and delay; IMU and odometry keep their errors."""
@@ -125,10 +125,10 @@ class _SuiteOptions(_OfSuite, SuiteTestOptions):
 
 @dataclass
 class _SensitivityOptions(_OfSuite):
-    """Drive a list with these policies and the user alone without disturbances, and with each alone."""  # noqa: E501
+    """Drive a list and its shifts with these policies and the user alone."""
 
     sensitivity: common.Flag = False
-    """Which disturbance changes the score?"""
+    """Other eyes, other road users, other persons, other chairs: what does each cost?"""
     json: common.OutFile = None
     """Also write the rows to this file."""
 
@@ -149,7 +149,7 @@ def run_suites(words: list[str]) -> int:
         play = common.parse_options(_PlayedEpisodeOptions, words, "test")
         return _play_episode(_suite_order(play, clean=play.clean), play.policies, play.play)
     if common.has_option(words, "--sensitivity"):
-        return _compare_disturbances(common.parse_options(_SensitivityOptions, words, "test"))
+        return _compare_shifts(common.parse_options(_SensitivityOptions, words, "test"))
     options = common.parse_options(_SuiteOptions, words, "test")
     return run_suite_and_report(
         _suite_order(options, options.forks, clean=options.clean), options, options.suite
@@ -283,7 +283,7 @@ def save_test_result(
 
 def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = False) -> SuiteOrder:
     """How a fixed list is driven."""
-    from wcsim.agents.evaluation.suite.sensitivity import CLEAN
+    from wcsim.agents.evaluation.suite.shifts import CLEAN
     from wcsim.agents.opening.list_file import open_suite
 
     suite = open_suite(options.suite)
@@ -337,21 +337,21 @@ def _resumable(order: SuiteOrder, options: _DriveOptions) -> Iterator[None]:
         raise InterruptedRunError(message) from None
 
 
-def _compare_disturbances(options: _SensitivityOptions) -> int:
-    """Drive the list with each disturbance alone; how the command ends."""
-    from wcsim.agents.evaluation.suite.sensitivity import sensitivity
+def _compare_shifts(options: _SensitivityOptions) -> int:
+    """Drive the list and its shifts; how the command ends."""
+    from wcsim.agents.evaluation.suite.shifts import drive_shifts
 
     order = _suite_order(options)
     file = order.suite.file
     _require_usable(order, options)
     policies = tuple(dict.fromkeys((UNAIDED, *options.policies)))
     with _resumable(order, options):
-        moved = sensitivity(order, policies, print_note)
-    rows = [each.to_json() for each in moved]
+        shifts = drive_shifts(order, policies, print_note)
+    rows = [each.to_json() for each in shifts]
     common.write_json(order.out / "sensitivity.json", rows)
-    print_disturbance_sensitivity(stdout_console(), f"{file.suite} {file.set}", moved)
+    print_shifts(stdout_console(), f"{file.suite} {file.set}", shifts)
     common.write_json(options.json, {"suite": file.suite, "set": file.set, "rows": rows})
-    return _exit_of([each.row for each in moved])
+    return _exit_of([each.row for each in shifts])
 
 
 def _exit_of(rows: Iterable[ResultRow]) -> ExitCode:

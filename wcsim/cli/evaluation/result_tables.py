@@ -18,7 +18,7 @@ from wcsim.cli.shared.common import shorten_lines
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.result_files import TestResult
-    from wcsim.agents.evaluation.suite.sensitivity import Disturbed
+    from wcsim.agents.evaluation.suite.shifts import ShiftRow
 
 # Widths in characters; the first is that of the longest numbers of a row.
 _NUMBERS_WIDTH: Final = 68
@@ -55,7 +55,7 @@ def print_test_result(
             console.print(_wrap_path(f"{label}: {name}"))
     for column in LOOK:
         console.print(
-            "\n".join(wrap(f"{column.heading}: {column.says}", _LEGEND_WIDTH)), style="dim"
+            "\n".join(wrap(f"{column.heading}: {column.description}", _LEGEND_WIDTH)), style="dim"
         )
     console.print(
         "below a figure: its 95 % range; `wcsim report` and result.json have all others",
@@ -95,24 +95,26 @@ def _crash_lines(result: TestResult) -> list[str]:
     ]
 
 
-def print_disturbance_sensitivity(console: Console, title: str, moved: Sequence[Disturbed]) -> None:
+def print_shifts(console: Console, title: str, rows: Sequence[ShiftRow]) -> None:
     """Print what `wcsim test --suite --sensitivity` found, a table for each policy."""
-    for policy in dict.fromkeys(each.row.policy for each in moved):
-        own = [each for each in moved if each.row.policy == policy]
-        lines = [
-            [each.disturbance, *map(_cell, LOOK, repeat(each.row)), _change(each)] for each in own
-        ]
-        headings = ["disturbance", *(column.heading for column in LOOK), "change of score"]
-        console.print(_table(f"{title}: {policy}, with each disturbance alone", headings, lines))
-    console.print("change of score: against the same drives without noise and delay", style="dim")
-
-
-def _change(moved: Disturbed) -> str:
-    change = f"{moved.score_change:+.3f}"
-    if moved.score_change_ci is None:
-        return change
-    low, high = moved.score_change_ci
-    return f"{change}\n{low:+.2f} to {high:+.2f}"
+    headings = ["shift", *(column.heading for column in LOOK), "loss of score", "tau", "left out"]
+    for policy in dict.fromkeys(each.row.policy for each in rows):
+        lines = []
+        for each in rows:
+            if each.row.policy == policy:
+                loss = "-" if each.loss is None else f"{each.loss:+.2f}"
+                if each.loss_ci is not None:
+                    loss = f"{loss}\n{each.loss_ci[0]:+.2f} to {each.loss_ci[1]:+.2f}"
+                tau = "-" if each.tau is None else f"{each.tau:.2f}"
+                cells = map(_cell, LOOK, repeat(each.row))
+                lines.append([each.shift, *cells, loss, tau, str(each.left_out)])
+        console.print(_table(f"{title} and its shifts: {policy}", headings, lines))
+    for line in (
+        "loss of score: against the same drives as listed",
+        "tau: Kendall's, of the order of all policies here; 1 is the order as listed",
+        "left out: drives in which no copy of the world survived the user's crash",
+    ):
+        console.print(line, style="dim")
 
 
 def _cell(column: Column, row: ResultRow) -> str:

@@ -25,10 +25,10 @@ class Paired:
     rival: str
     part: str  # "" for all
     episodes: int
-    saved: int  # own crashes that the rival has and the policy has not
+    saved: int  # crashes that the rival has and the policy has not
     lost: int  # and the other way round
     mcnemar_p: float
-    difference: float  # of the scores, the policy's less the rival's
+    difference: float | None  # of the scores, the policy's less the rival's; None where none count
     interval: Interval | None  # of the difference, 95 %; None of too few episodes
 
     @property
@@ -39,7 +39,7 @@ class Paired:
     @property
     def enough(self) -> int | None:
         """About how many such episodes would separate them, were the difference as it is; None where nobody knows."""
-        if self.difference == 0.0 or self.interval is None:
+        if not self.difference or self.interval is None:
             return None
         half = 0.5 * (self.interval[1] - self.interval[0])
         return max(self.episodes, math.ceil(self.episodes * (half / abs(self.difference)) ** 2))
@@ -66,6 +66,8 @@ def _paired(result: TestResult, policy: str, rival: str, part: str) -> Paired | 
     if not both:
         return None
     saved, lost = saved_and_lost((mine for mine, _ in both), (other for _, other in both))
+    scores = [(mine.score, other.score) for mine, other in both]
+    changes = [mine - other for mine, other in scores if mine is not None and other is not None]
     return Paired(
         policy=policy,
         rival=rival,
@@ -74,8 +76,8 @@ def _paired(result: TestResult, policy: str, rival: str, part: str) -> Paired | 
         saved=saved,
         lost=lost,
         mcnemar_p=mcnemar(saved, lost),
-        difference=math.fsum(mine.score - other.score for mine, other in both) / len(both),
-        interval=bootstrapped([mine.score - other.score for mine, other in both]),
+        difference=math.fsum(changes) / len(changes) if changes else None,
+        interval=bootstrapped(changes),
     )
 
 
@@ -99,7 +101,8 @@ def verdict(result: TestResult) -> str:
 
 def _told_apart(result: TestResult) -> dict[str, Any]:
     """The policies that could be built, compared with the one of the highest score, and those that are like it."""
-    scores = {row.policy: row.score or 0.0 for row in result.pooled if row.policy not in UPPER_BOUNDS}
+    bounded = (row for row in result.pooled if row.policy not in UPPER_BOUNDS)
+    scores = {row.policy: row.score for row in bounded if row.score is not None}
     best, *others = sorted(scores, key=lambda name: -scores[name]) or [""]
     pairs = {name: _paired(result, best, name, "") for name in others}
     return {

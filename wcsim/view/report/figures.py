@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 
 from wcsim.agents.evaluation.suite.records import STATUSES, EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TOWNS, TestResult
-from wcsim.agents.evaluation.suite.rows import ResultRow
 from wcsim.core.reading import pluralize
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
@@ -67,7 +66,6 @@ _GROUND_RGB: Final = {
 }
 _SOLID_RGB: Final = (196, 190, 188)  # houses, walls, trunks
 _OTHER_RGB: Final = (248, 248, 248)
-_OBEYS: Final = 0.5  # who does as asked more rarely would squeeze all others into a corner of the figure
 _ENDINGS: Final = ("arrived", "crashed", "user gave up", "time up", "policy failed", "policy refused", "not reached")
 _NAME: Final = re.compile(r"[\w-]+")
 _LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
@@ -127,42 +125,31 @@ def figures_of(result: TestResult, folder: Path) -> list[Exhibit]:
     """All figures of a test, which lies in this folder, in the order of the page."""
     places = {name: place for place, name in enumerate(result.episodes)}
     return [
-        _obedience_figure(result, places),
+        *([_help_figure(result, places)] if any(row.judged_episodes for row in result.pooled) else []),
         *_towns(result, places, folder / TOWNS),
         _statuses(result),
     ]
 
 
-def _bounds(row: ResultRow, key: str) -> tuple[float, float]:
-    """An interval of a row; of few episodes there is none, and a point has no bar."""
-    return getattr(row, f"{key}_ci") or (np.nan, np.nan)
-
-
-def _arms(row: ResultRow, key: str) -> list[list[float]]:
-    """How far an interval reaches below and above the figure."""
-    value, (low, high) = getattr(row, key), _bounds(row, key)
-    return [[max(0.0, value - low)], [max(0.0, high - value)]]
-
-
-_AXES: Final = ("crashes_per_km", "kpi1_free_within")
-
-
-def _obedience_figure(result: TestResult, places: Mapping[str, int]) -> Exhibit:
-    """Obedience over own crashes a kilometre, of those who obey half of the time at least."""
-    crashes, obeyed = _AXES
-    known = {row.policy: row for row in result.pooled if None not in (row.crashes_per_km, row.kpi1_free_within)}
-    shown = {name: row for name, row in known.items() if (row.kpi1_free_within or 0.0) >= _OBEYS} or known
-    left_out, out = [name for name in known if name not in shown], io.BytesIO()
-    with _drawn("obedience", out, 4.0) as axes:
-        for line in _levels_of(shown):
-            x, y = ([getattr(shown[name], key) for name in line] for key in _AXES)
-            axes.plot(x, y, color="#888888", linewidth=1.0, zorder=1)
-        for name, row in shown.items():
+def _help_figure(result: TestResult, places: Mapping[str, int]) -> Exhibit:
+    """The share of drives with a crash over unneeded interventions a drive; each as value, low and high."""
+    known: dict[str, F64] = {}
+    for row in result.pooled:
+        if row.judged_episodes:
+            unknown = (np.nan, np.nan)  # of few episodes: a point without a bar
+            needless = np.array((row.unneeded, *(row.unneeded_ci or unknown))) / row.judged_episodes
+            crashed = (row.crashes_any / row.episodes, *(row.crashes_any_ci or unknown))
+            known[row.policy] = np.array((needless, crashed))
+    out = io.BytesIO()
+    with _drawn("help", out, 4.0) as axes:
+        for line in _levels_of(known):
+            axes.plot(*np.stack([known[name][:, 0] for name in line], 1), color="#888888", linewidth=1.0, zorder=1)
+        for name, (x, y) in known.items():
             axes.errorbar(
-                [getattr(row, crashes)],
-                [getattr(row, obeyed)],
-                xerr=_arms(row, crashes),
-                yerr=_arms(row, obeyed),
+                x[:1],
+                y[:1],
+                xerr=np.abs(x[1:, None] - x[0]),
+                yerr=np.abs(y[1:, None] - y[0]),
                 markersize=5,
                 elinewidth=0.8,
                 capsize=2,
@@ -170,19 +157,15 @@ def _obedience_figure(result: TestResult, places: Mapping[str, int]) -> Exhibit:
                 fmt=_MARKS[places[name] % len(_MARKS)],
                 color=_colour_of(places[name]),
             )
-        axes.set_xlim(left=0.0)
-        axes.set_xlabel("own crashes per km (left is better)")
-        axes.set_ylabel("close to user, share of safe steps")
-        _legend(axes, len(shown))
+        axes.set_xlabel("unneeded interventions a drive")
+        axes.set_ylabel("drives with a crash, share")
+        _legend(axes, len(known))
+    ends = ("", "_low", "_high")
     return Exhibit(
-        name="obedience",
-        columns=("policy", "own_crashes_per_km", "low", "high", "obeyed", "obeyed_low", "obeyed_high"),
-        rows=[
-            [name, *(cell for key in _AXES for cell in (getattr(row, key), *_bounds(row, key)))]
-            for name, row in known.items()
-        ],
+        name="help",
+        columns=("policy", *(f"{what}{end}" for what in ("unneeded", "crashes") for end in ends)),
+        rows=[[name, *(None if np.isnan(v) else round(v, 6) for v in both.flat)] for name, both in known.items()],
         svg=out.getvalue(),
-        says=f" Not drawn, below 50 %: {', '.join(left_out)}." if left_out else "",
     )
 
 

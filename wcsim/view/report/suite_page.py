@@ -111,13 +111,13 @@ def _episodes(result: TestResult) -> Exhibit:
     plain = [name for name, kind in get_type_hints(EpisodeRecord).items() if kind in (int, float, str, bool)]
     rows = [
         [name, *(getattr(e, key) for key in plain), *e.end_m, len(e.interventions),
-         *(round(value, 6) for value in (*e.score_parts, e.score))]
+         None if e.score is None else round(e.score, 6)]
         for name, episodes in result.episodes.items()
         for e in episodes
     ]  # fmt: skip
     return Exhibit(
         name="episodes",
-        columns=("policy", *plain, "x_m", "y_m", "interventions", "way_share", "pace", "obeyed", "score"),
+        columns=("policy", *plain, "x_m", "y_m", "interventions", "score"),
         rows=rows,
     )
 

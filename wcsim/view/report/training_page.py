@@ -225,8 +225,8 @@ def _clients(training: Training) -> Exhibit:
 
 
 _SHOWN: Final = (
-    *(("score", "score"), ("score_ci", "95 %"), ("crashes_own", "own crashes"), ("crashes_per_km", "per km")),
-    *(("kpi1", "KPI 1"), ("kpi1_free_within", "obeyed"), ("kpi2_median", "KPI 2, median"), ("arrivals", "arrivals")),
+    *(("score", "score"), ("score_ci", "95 %"), ("crashes_any", "crashes"), ("crashes_own", "own crashes")),
+    *(("kpi1", "KPI 1"), ("followed", "obeyed"), ("kpi2", "KPI 2"), ("arrived", "arrivals")),
 )
 _CONTINUES: Final = "second phase"
 _IN_TIME: Final = "of those that decide within learn.select_ms"

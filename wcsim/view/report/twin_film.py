@@ -93,6 +93,6 @@ def _pictures(end: int, tick_s: float, world: World, steps: Sequence[PlayedStep]
     for step in steps:
         if first < step.step <= until or step is steps[-1]:
             picture = street.behind(played_moment(step), _LOOKS).picture
-            with_sticks(picture, step.asked, step.given, warning=False)
+            with_sticks(picture, step.requested, step.given, warning=False)
             found.append(picture)
     return found

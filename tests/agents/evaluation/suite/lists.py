@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 
 from tests.support.worlds import QUICK
-from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, free_blocks
+from wcsim.agents.evaluation.suite.draw import DrawPlace, WaySpec, free_blocks
 from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.opening.list_file import BlockSetup, HashedSuite, suite_from_file, write_list
 from wcsim.config import RunConfig, resolve
@@ -26,7 +26,7 @@ def drawn_in(corner: Path) -> tuple[SuiteBlock, ...]:
     """Two blocks of one episode each: the ways are too near each other for one block of a list."""
     town = find_town(str(corner))
     place = DrawPlace(town.name, load_street(town), config())
-    wanted = Wanted(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
+    wanted = WaySpec(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
     return tuple(free_blocks(place, wanted, 1, seed)[0] for seed in (3, 4))
 
 

@@ -6,7 +6,6 @@ from functools import partial
 import pytest
 
 from tests.agents.evaluation.suite.lists import (
-    POINTS,
     Dies,
     Held,
     Levels,
@@ -20,15 +19,11 @@ from tests.agents.evaluation.suite.lists import (
     config,
     order_of,
 )
-from tests.support.worlds import open_world
 from wcsim.agents.evaluation.suite import drive
-from wcsim.agents.evaluation.suite.alarms import _users_alone
 from wcsim.agents.evaluation.suite.drive import Piece, drive_block, refused
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.agents.policies.dwa import VetoPolicy
-from wcsim.bridge.world_rollout import rollout
-from wcsim.types import SeatSpec
 from wcsim.users.user import SimulatedUser
 
 
@@ -42,7 +37,7 @@ def test_who_follows_obeys_and_ends_in_one_of_the_ways_that_there_are(corner):
     assert len(records) == 2 and [record.seat for record in records] == [0, 1]
     for record, episode in zip(records, block.episodes, strict=True):
         assert record.status in ("finished", "chair_crashed", "gave_up", "timed_out")
-        assert record.moving_within == record.moving_steps > 0 and record.interventions == ()
+        assert record.within == record.steps > 0 and record.interventions == ()
         assert record.steps == pytest.approx(10.0 * record.time_s) and record.m > 0.0
         assert record.route_m == pytest.approx(episode.route_m) and record.done_m <= record.route_m + 1.0
         if record.status == "finished":
@@ -63,7 +58,7 @@ def test_a_policy_that_fails_fails_its_episode_and_the_others_go_on(corner, poli
     made = iter([policy(), follow()])
     failed, other = drive_block(*order_of(corner, block_of(corner, max_steps=8), late_s=late_s), lambda: next(made))
     assert failed.status == "policy_failed" and said in failed.reason
-    assert failed.steps == {Dies: 5, Sleeps: 1}.get(policy, 0) and failed.score == 0.0
+    assert failed.steps == {Dies: 5, Sleeps: 1}.get(policy, 0) and not failed.score
     assert other.status != "policy_failed" and other.steps > 5
 
 
@@ -82,7 +77,6 @@ def test_before_the_handover_the_user_drives_alone(corner):
     block = block_of(corner)
     for record, episode in zip(handed, block.episodes, strict=True):
         assert record.route_m < episode.route_m  # what was driven before is not the policy's
-        assert record.reference_s / episode.reference_s == pytest.approx(record.route_m / episode.route_m, rel=1e-3)
 
 
 @pytest.mark.parametrize("wrapped", [lambda held, _: held, partial(VetoPolicy, "veto:held")], ids=["alone", "veto"])
@@ -145,19 +139,7 @@ def _asks_after(look, steps):
 def test_a_policy_that_cannot_be_used_is_refused_in_every_episode(corner):
     records = refused(Piece(index=4, block=block_of(corner)), "it has another action set")
     assert [record.status for record in records] == ["refused"] * 2 and records[0].block == 4
-    assert all(record.score == 0.0 and "action set" in record.reason for record in records)
-
-
-def test_danger_is_that_of_the_truth(corner):
-    spec = SeatSpec(profile="inattentive", truth=True, max_steps=4000)
-    with open_world(corner, "world.action_delay_ticks=2", seats=2, seed=5, spec=spec) as world:
-        said = []
-        for _, step in zip(range(120), rollout(world, dict.fromkeys((0, 1), _users_alone(POINTS))), strict=False):
-            clients = step.after.clients
-            said += [client.truth.danger for client in clients if client.first is None]
-            asked = [world.in_danger(client.seat) for client in clients if client.first is None]
-            assert asked == said[len(said) - len(asked) :]
-        assert len(set(said)) == 2
+    assert all(not record.score and "action set" in record.reason for record in records)
 
 
 def test_a_record_has_a_field_for_each_measure_and_no_other(corner, monkeypatch):

@@ -33,7 +33,7 @@ def assert_refused(folder, damage):
     [
         {"steps": "many"}, {"steps": True}, {"status": "won"}, {"part": 3}, {"nothing": 1}, {"path_m": [[0.0]]},
         {"path_m": 3}, {"end_m": ["a", "b"]}, {"accel_sq_sum": "x"}, {"interventions": [{"first": 1}]},
-        {"m": None}, {"reference_s": 1e308}, {"end_m": ["1", 2.0]}, {"steps": 10**15}, {"accel_sq_sum": -1e300},
+        {"m": None}, {"route_m": 1e308}, {"end_m": ["1", 2.0]}, {"steps": 10**15}, {"accel_sq_sum": -1e300},
     ],
 )  # fmt: skip
 def test_a_damaged_episode_is_refused(tmp_path, change):

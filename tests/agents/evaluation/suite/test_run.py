@@ -14,7 +14,7 @@ from wcsim.agents.evaluation.suite.run import (
     _identity_of,
     _judged_blocks,
     _policy_digest,
-    _read_kept,
+    _read_saved,
     run_suite,
 )
 from wcsim.agents.opening.list_file import (
@@ -70,7 +70,7 @@ def test_the_user_alone_drives_a_list_once_for_all_tests_of_it(corner, tmp_path,
 def test_a_kept_result_that_is_none_is_refused_in_a_line(tmp_path, kept):
     (tmp_path / "a.json").write_text(kept)
     with pytest.raises(ConfigError, match="remove it"):
-        _read_kept(tmp_path / "a.json")
+        _read_saved(tmp_path / "a.json")
 
 
 def test_as_many_episodes_are_judged_as_are_asked_for_and_none_for_none():

@@ -1,6 +1,9 @@
-"""What copies of the world say of an episode: whether interventions and warnings were needed, crashes avoidable.
+"""What copies of the world say of an episode.
 
-A fork is a copy of the world in which somebody else drives from this tick on: the user alone, or a stick that is held.
+Whether interventions and warnings were needed, crashes avoidable.
+
+A fork is a copy of the world in which somebody else drives from this tick on: the user alone, or a
+stick that is held.
 """
 
 import struct
@@ -10,7 +13,13 @@ from itertools import pairwise
 from typing import Final
 
 from wcsim.agents.envs.episode_view import EnvStepResult
-from wcsim.agents.evaluation.suite.records import NEEDED, NEEDLESS, NOT_JUDGED, EpisodeRecord, Intervention
+from wcsim.agents.evaluation.suite.records import (
+    NEEDED,
+    NEEDLESS,
+    NOT_JUDGED,
+    EpisodeRecord,
+    Intervention,
+)
 from wcsim.agents.policy_api import Policy
 from wcsim.bridge.world import World
 from wcsim.bridge.world_copy import in_copy
@@ -41,11 +50,15 @@ STICKS: Final = (
 _REACH_M: Final = 0.5  # from the middle of a chair, or of somebody, to what is met first
 _ANSWER: Final = struct.Struct("<i")
 
-_Moment = tuple[F64, dict[str, F64], list[F32]]  # the chair's pose (3, 4), where actors are, its depth pictures
+# the chair's pose (3, 4), where actors are, its depth pictures
+_Moment = tuple[F64, dict[str, F64], list[F32]]
 
 
 def _extended(spans: list[list[int]], step: int, tick_s: float) -> bool:
-    """Put a step into runs of steps, each with its first and last, over short gaps; whether a run begins with it."""
+    """Put a step into runs of steps, each with its first and last, over short gaps.
+
+    Whether a run begins with it.
+    """
     if spans and (step - spans[-1][1] - 1) * tick_s < JOINED_S - 1e-9:
         spans[-1][1] = step
         return False
@@ -55,15 +68,22 @@ def _extended(spans: list[list[int]], step: int, tick_s: float) -> bool:
 
 @dataclass(slots=True)
 class Alarms:
-    """What a policy did against its user's wish in an episode, and when it warned; `tick_s` is the length of a step."""
+    """What a policy did against its user's wish in an episode, and when it warned.
+
+    `tick_s` is the length of a step.
+    """
 
     tick_s: float
     taken: list[list[int]] = field(default_factory=list)  # first and last step of each intervention
     warned: list[list[int]] = field(default_factory=list)
-    alone_s: dict[int, float | None] = field(default_factory=dict)  # by step: when the user alone would have crashed
+    # by step: when the user alone would have crashed
+    alone_s: dict[int, float | None] = field(default_factory=dict)
 
     def begin(self, step: int, taken: bool, warned: bool) -> bool:
-        """Note a step; whether an intervention or a warning begins with it, or goes on for another 2 s."""
+        """Note a step.
+
+        Whether an intervention or a warning begins with it, or goes on for another 2 s.
+        """
         begins = taken and _extended(self.taken, step, self.tick_s)
         again = taken and (step - self.taken[-1][0]) % round(AGAIN_S / self.tick_s) == 0
         return (warned and _extended(self.warned, step, self.tick_s)) or begins or again
@@ -73,12 +93,24 @@ class Alarms:
         found = []
         for first, last in self.taken:
             crash_s = self.alone_s.get(first)
-            verdict = NOT_JUDGED if first not in self.alone_s else NEEDLESS if crash_s is None else NEEDED
+            verdict = (
+                NOT_JUDGED if first not in self.alone_s else NEEDLESS if crash_s is None else NEEDED
+            )
             # What a fork says holds until the next one.
             forked = [step for step in sorted(self.alone_s) if first <= step <= last]
-            needless = sum(until - step for step, until in pairwise([*forked, last + 1]) if self.alone_s[step] is None)
+            needless = sum(
+                until - step
+                for step, until in pairwise([*forked, last + 1])
+                if self.alone_s[step] is None
+            )
             found.append(
-                Intervention(first=first, last=last, verdict=verdict, crash_after_s=crash_s, needless_steps=needless)
+                Intervention(
+                    first=first,
+                    last=last,
+                    verdict=verdict,
+                    crash_after_s=crash_s,
+                    needless_steps=needless,
+                )
             )
         return tuple(found)
 
@@ -88,30 +120,45 @@ class Alarms:
         return not any(last >= since for _, last in self.taken)
 
     def warnings(self, own_step: int | None, other_step: int | None = None) -> tuple[int, int, int]:
-        """Dangers that were warned of at least 1 s ahead, all dangers, and runs of warnings without a crash.
+        """Dangers that were warned of at least 1 s ahead, all dangers, and false warnings.
 
-        Crashes, an own one and those that forks found, with less than 1 s between them are one danger, from the first
-        of them on: several forks see the same one come. A warning before a crash by the other's fault is not false.
+        Crashes, an own one and those that forks found, with less than 1 s between them are one
+        danger, from the first of them on: several forks see the same one come. A run of warnings
+        is false where no crash follows, whosever fault it is.
 
         Args:
             own_step: Of the own crash that ended the episode.
             other_step: Of the other's.
         """
-        found = [first + round(crash_s / self.tick_s) for first, crash_s in self.alone_s.items() if crash_s is not None]
+        found = [
+            first + round(crash_s / self.tick_s)
+            for first, crash_s in self.alone_s.items()
+            if crash_s is not None
+        ]
         crashes = sorted([*found, *([] if own_step is None else [own_step])])
         ahead, reach = round(AHEAD_S / self.tick_s), round(BEFORE_S / self.tick_s)
-        dangers = [step for number, step in enumerate(crashes) if not number or step - crashes[number - 1] >= ahead]
+        dangers = [
+            step
+            for number, step in enumerate(crashes)
+            if not number or step - crashes[number - 1] >= ahead
+        ]
         spans = self.warned
-        heard = sum(any(a <= step - ahead and b >= step - reach for a, b in spans) for step in dangers)
-        came = [*crashes, *([] if other_step is None else [other_step])]
+        warned_of = sum(
+            any(a <= step - ahead and b >= step - reach for a, b in spans) for step in dangers
+        )
+        all_crashes = [*crashes, *([] if other_step is None else [other_step])]
         ended = own_step is not None or other_step is not None
         judged = [span for span in spans if span[0] in self.alone_s or ended]
-        false = sum(not any(first <= step <= last + reach for step in came) for first, last in judged)
-        return heard, len(dangers), false
+        false = sum(
+            not any(first <= step <= last + reach for step in all_crashes) for first, last in judged
+        )
+        return warned_of, len(dangers), false
 
 
 class Survival:
-    """Looks on while crashed episodes are driven once more: how late could they be survived, and why were they not?
+    """Looks on while crashed episodes are driven once more.
+
+    How late could they be survived, and why were they not?
 
     Args:
         crashed: Their records, by seat.
@@ -119,7 +166,9 @@ class Survival:
         tick_s: Length of a step.
     """
 
-    def __init__(self, crashed: Mapping[int, EpisodeRecord], handovers: Mapping[int, int], tick_s: float) -> None:
+    def __init__(
+        self, crashed: Mapping[int, EpisodeRecord], handovers: Mapping[int, int], tick_s: float
+    ) -> None:
         self.records = dict(crashed)
         self._tick_s = tick_s
         self._left = {seat: handovers[seat] + record.steps for seat, record in crashed.items()}
@@ -136,13 +185,17 @@ class Survival:
             return
         self._left[seat] -= 1
         left = self._left[seat]
-        every, since, on, before = (round(each_s / self._tick_s) for each_s in (EVERY_S, SINCE_S, ON_S, BEFORE_S))
+        every, since, on, before = (
+            round(each_s / self._tick_s) for each_s in (EVERY_S, SINCE_S, ON_S, BEFORE_S)
+        )
         if left >= before:
             return
         (client,) = (each for each in world.snapshot.clients if each.seat == seat)
         pose = pose_matrix(client.plant.p_WB_m, client.plant.q_WB)
         places = {actor.whole_id: actor.p_W_m.copy() for actor in world.snapshot.actors}
-        self._past[seat].append((pose, places, [frame.depth_m.copy() for frame in client.sensors.cameras]))
+        self._past[seat].append(
+            (pose, places, [frame.depth_m.copy() for frame in client.sensors.cameras])
+        )
         if not 0 < left <= since or left % every:
             return
         for stick in STICKS:
@@ -151,7 +204,9 @@ class Survival:
                 return held
 
             if crash_tick(world, seat, hold, left + on) is None:
-                self.records[seat] = replace(self.records[seat], last_moment_s=round(left * self._tick_s, 6))
+                self.records[seat] = replace(
+                    self.records[seat], last_moment_s=round(left * self._tick_s, 6)
+                )
                 break
 
     def ended(self, seat: int, world: World) -> None:
@@ -168,13 +223,21 @@ class Survival:
             for camera, depth_m in zip(world.config.cameras, depths, strict=False)
         )
         moment = record.steps - round((record.last_moment_s or 0.0) / self._tick_s)
-        spans = [item for item in record.interventions if item.last >= record.steps - round(BEFORE_S / self._tick_s)]
+        spans = [
+            item
+            for item in record.interventions
+            if item.last >= record.steps - round(BEFORE_S / self._tick_s)
+        ]
         if not spans:
             cause = "missed" if shown else "unseen"
         elif spans[0].first > moment:
             cause = "late"
         else:
-            cause = "in_vain" if any(item.first <= moment <= item.last for item in spans) else "given_back"
+            cause = (
+                "in_vain"
+                if any(item.first <= moment <= item.last for item in spans)
+                else "given_back"
+            )
         self.records[seat] = replace(record, cause=cause)
 
 
@@ -186,11 +249,15 @@ def _shows(camera: CameraConfig, T_WB: F64, p_W_m: F64, depth_m: F32) -> bool:
     if z < lens.near_m:
         return False
     u, v = (round(0.5 * size + lens.focal_px * at / z) for size, at in ((width, x), (height, y)))
-    return 0 <= u < width and 0 <= v < height and (not depth_m[v, u] or depth_m[v, u] > z - _REACH_M)
+    return (
+        0 <= u < width and 0 <= v < height and (not depth_m[v, u] or depth_m[v, u] > z - _REACH_M)
+    )
 
 
 def crash_alone_s(world: World, seat: int, actions: ActionSet, tick_s: float) -> float | None:
-    """Seconds until a seat's chair crashes when its user drives alone from now on; None within `ALONE_S`.
+    """Seconds until a seat's chair crashes when its user drives alone from now on.
+
+    None within `ALONE_S`.
 
     Raises PhysicsError as `crash_tick` does.
     """
@@ -199,7 +266,9 @@ def crash_alone_s(world: World, seat: int, actions: ActionSet, tick_s: float) ->
 
 
 def crash_tick(world: World, seat: int, driver: Driver, ticks: int) -> int | None:
-    """The tick, from 1, in which a seat's chair crashes with this driver from now on; None within so many.
+    """The tick, from 1, in which a seat's chair crashes with this driver from now on.
+
+    None within so many.
 
     The other chairs leave the street of the copy. The world itself does not move.
 

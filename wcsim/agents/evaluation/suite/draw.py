@@ -1,8 +1,8 @@
 """Draws the episodes of a list in any town: ways along pavements, and attempts at its crossings.
 
-A way is over carriageways on crossings alone, with room to wait before each of their lights. netconvert lays walking
-areas of crowded junctions over lanes, and some refuges are shorter than a chair: what is counted there says something
-about the map and nothing about a policy.
+A way is over carriageways on crossings alone, with room to wait before each of their lights.
+netconvert lays walking areas of crowded junctions over lanes, and some refuges are shorter than a
+chair: what is counted there says something about the map and nothing about a policy.
 """
 
 from collections.abc import Iterator
@@ -42,11 +42,15 @@ def _is_sound(street: Street, route: Route, outline: Outline) -> bool:
     over = find_route_crossings(route, street.walk)
     # A chair that waits before a light needs room between it and the crossing before.
     room_m = outline.length_m + KERB_GAP_M
-    if any(then.tls_id and then.start_m - before.end_m <= room_m for before, then in pairwise(over)):
+    if any(
+        then.tls_id and then.start_m - before.end_m <= room_m for before, then in pairwise(over)
+    ):
         return False
     # The longest stretch of carriageway on it that is on none of its crossings.
     arc_m = np.arange(0.0, route.arc_m[-1], _STEP_M)
-    x_m, y_m = (np.interp(arc_m, route.arc_m, route.points_W_m[:, axis]).tolist() for axis in (0, 1))
+    x_m, y_m = (
+        np.interp(arc_m, route.arc_m, route.points_W_m[:, axis]).tolist() for axis in (0, 1)
+    )
     longest = now = 0
     for at_m, x, y in zip(arc_m.tolist(), x_m, y_m, strict=True):
         crossed = any(item.start_m <= at_m <= item.end_m for item in over)
@@ -72,7 +76,7 @@ class DrawPlace:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wanted:
+class WaySpec:
     """What the episodes of a part are like."""
 
     part: Part
@@ -81,16 +85,20 @@ class Wanted:
     crossing_share: float = 0.5
 
 
-def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> list[SuiteBlock]:
-    """Blocks of ways along the town's pavements. Raises TownError when the town is too small for one."""
+def free_blocks(place: DrawPlace, spec: WaySpec, blocks: int, seed: int) -> list[SuiteBlock]:
+    """Blocks of ways along the town's pavements.
+
+    Raises TownError when the town is too small for one.
+    """
     made = []
     for number in range(blocks):
-        rng = seeding.make_rng(seed, "suite", place.name, wanted.part, number)
-        who = wanted.profiles[number % len(wanted.profiles)]
-        # The first ways, up to SEATS, that keep APART_M from one another; their points (n, 2) are a metre apart.
+        rng = seeding.make_rng(seed, "suite", place.name, spec.part, number)
+        user = spec.profiles[number % len(spec.profiles)]
+        # The first ways, up to SEATS, that keep APART_M from one another; their points
+        # (n, 2) are a metre apart.
         episodes: list[SuiteEpisode] = []
         lines: list[F64] = []
-        for episode, route in _ways(place, wanted, who, rng):
+        for episode, route in _ways(place, spec, user, rng):
             points_m = route.points_W_m
             if all(np.hypot(*(points_m[:, None] - other_m).T).min() > APART_M for other_m in lines):
                 episodes.append(episode)
@@ -98,45 +106,58 @@ def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> lis
                 if len(episodes) == SEATS:
                     break
         if not episodes:
-            raise TownError(f"{place.name}: no route of {wanted.way_m[0]:g} m was found; expected a larger town")
+            raise TownError(
+                f"{place.name}: no route of {spec.way_m[0]:g} m was found; expected a larger town"
+            )
         made.append(
             SuiteBlock(
-                part=wanted.part,
+                part=spec.part,
                 town=place.listed,
-                seed=seeding.derive_seed(seed, "block", place.name, wanted.part, number),
+                seed=seeding.derive_seed(seed, "block", place.name, spec.part, number),
                 episodes=tuple(episodes),
             )
         )
     return made
 
 
-def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[Way]:
-    """Sound ways; whether one leads over a crossing is drawn before it is, so that the share stays as wanted."""
-    over = float(rng.random() < wanted.crossing_share)
+def _ways(place: DrawPlace, spec: WaySpec, user: str, rng: np.random.Generator) -> Iterator[Way]:
+    """Sound ways.
+
+    Whether one leads over a crossing is drawn before it is, so that the share stays as wanted.
+    """
+    over = float(rng.random() < spec.crossing_share)
     for _ in range(_TRIES):
         start, yaw_rad = place.router.random_start(rng)
         # Nothing that stands may be in the way; who moves is not there yet.
-        if not is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, lambda _p_W_m, _reach_m: ()):
+        if not is_clear(
+            place.street.grid,
+            place.outline,
+            np.array(start),
+            yaw_rad,
+            0.0,
+            lambda _p_W_m, _reach_m: (),
+        ):
             continue
-        goal = place.router.random_goal(rng, start, *wanted.way_m, over)
-        episode, route = _episode(place, start, yaw_rad, goal, who)
-        long_enough = 0.5 * wanted.way_m[0] <= episode.route_m <= 2.0 * wanted.way_m[1]  # some go round another corner
+        goal = place.router.random_goal(rng, start, *spec.way_m, over)
+        episode, route = _episode(place, start, yaw_rad, goal, user)
+        # some go round another corner
+        long_enough = 0.5 * spec.way_m[0] <= episode.route_m <= 2.0 * spec.way_m[1]
         if long_enough and _is_sound(place.street, route, place.outline):
             yield episode, route
-            over = float(rng.random() < wanted.crossing_share)
+            over = float(rng.random() < spec.crossing_share)
 
 
-def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) -> Way:
+def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, user: str) -> Way:
     start = (round(start[0], 3), round(start[1], 3))
     goal = (round(goal[0], 3), round(goal[1], 3))
     route = place.router.route(start, goal)
-    reference_s = _reference_time_s(route, who, place.config)
+    reference_s = _reference_time_s(route, user, place.config)
     tick_s = place.config.world.tick_s
     episode = SuiteEpisode(
         start_m=start,
         heading_rad=round(yaw_rad, 4),
         goal_m=goal,
-        profile=who,
+        profile=user,
         max_steps=round((_SLACK * reference_s + _WAITS_S) / tick_s),
         route_m=round(float(route.arc_m[-1]), 3),
         reference_s=round(reference_s, 2),
@@ -144,8 +165,8 @@ def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) ->
     return episode, route
 
 
-def _reference_time_s(route: Route, who: str, config: RunConfig) -> float:
+def _reference_time_s(route: Route, user: str, config: RunConfig) -> float:
     """The time of a way with nothing to hinder it: at the speed that its user likes, from rest."""
-    person = find_user(who)
+    person = find_user(user)
     share = person.speed_share if isinstance(person, UserProfile) else 1.0
     return _FROM_REST_S + float(route.arc_m[-1]) / (share * config.chair.v_max_mps)

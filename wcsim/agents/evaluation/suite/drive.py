@@ -1,4 +1,7 @@
-"""One block of a suite: a fresh world, a policy in each of its chairs, one record for each episode."""
+"""One block of a suite.
+
+A fresh world, a policy in each of its chairs, one record for each episode.
+"""
 
 import signal
 import time
@@ -40,8 +43,13 @@ from wcsim.types import ClientSnapshot, Joystick
 from wcsim.users.recordings.recorded_user import find_user
 
 LATE_S: Final = 10.0  # of processor time: a policy that needs longer for an answer has failed
-STARVED: Final = 5.0  # so much longer by the wall clock, for a policy that waits or a machine that is busy
-FIRST_SHARE: Final = 6.0  # so much longer it has for the first one of an episode: it may load and compile
+# So much longer by the wall clock, for a policy that waits or a machine that is busy.
+STARVED: Final = 5.0
+# So much longer it has for the first one of an episode: it may load and compile.
+FIRST_SHARE: Final = 6.0
+# A user who overrules takes over after so many needless interventions, for so long.
+_PATIENCE: Final = 2
+_OVERRULED_S: Final = 20.0
 
 MakePolicy = Callable[[], Policy]
 
@@ -55,16 +63,21 @@ class Piece:
     town: str = ""  # a folder or a name
     settings: tuple[str, ...] = ()
     policy: str = ""
-    together: tuple[str, ...] = ()  # `policy` and others, which take turns in the seats; () for it alone
+    # `policy` and others, which take turns in the seats; () for it alone.
+    together: tuple[str, ...] = ()
     network: str = ""
     preset: str = "quick"
     judged: bool = False  # forks say whether an intervention was needed
     late_s: float = LATE_S
     hook: str = ""  # the user's own step hook, module:Class
+    overrules: bool = False  # users take over for 20 s after two needless interventions
 
 
 class Watch(Protocol):
-    """Somebody who looks on while a block is driven, and changes nothing; it ends when `seats` have ended."""
+    """Somebody who looks on while a block is driven, and changes nothing.
+
+    It ends when `seats` have ended.
+    """
 
     @property
     def seats(self) -> frozenset[int]:
@@ -77,7 +90,9 @@ class Watch(Protocol):
         """An episode has ended; its chair is about to leave the street."""
 
 
-def drive_block(piece: Piece, place: BlockSetup, make_policy: MakePolicy, watch: Watch | None = None) -> Records:
+def drive_block(
+    piece: Piece, place: BlockSetup, make_policy: MakePolicy, watch: Watch | None = None
+) -> Records:
     """Drive all episodes of a block, each to its end; records in the order of the block.
 
     With somebody to watch, those alone that have ended when the last of the watched ones has.
@@ -90,9 +105,15 @@ def drive_block(piece: Piece, place: BlockSetup, make_policy: MakePolicy, watch:
     # Whatever a network learned in: it is judged in the engine.
     config = resolve(place.config, (*block.settings, "world.draw_threads=1", "world.rolling=false"))
     policies = [make_policy() for _ in block.episodes]
-    specs = tuple(make_episode_seat_spec(place, *each) for each in zip(block.episodes, policies, strict=True))
-    with World(place.town, config, specs, place.seed, RunPlace(hook=piece.hook), find_user=find_user) as world:
-        seats = [_Seat(piece, config, world, number, policy) for number, policy in enumerate(policies)]
+    specs = tuple(
+        make_episode_seat_spec(place, *each) for each in zip(block.episodes, policies, strict=True)
+    )
+    with World(
+        place.town, config, specs, place.seed, RunPlace(hook=piece.hook), find_user=find_user
+    ) as world:
+        seats = [
+            _Seat(piece, config, world, number, policy) for number, policy in enumerate(policies)
+        ]
         watched = seats
         if watch is not None:
             watched = [seat for seat in seats if seat.number in watch.seats]
@@ -129,9 +150,14 @@ def _judge_together(seats: Sequence["_Seat"]) -> None:
 
 
 class _Seat:
-    """One episode while it lasts; `record` is there once it has ended, and the chair has left the street."""
+    """One episode while it lasts.
 
-    def __init__(self, piece: Piece, config: RunConfig, world: World, number: int, policy: Policy) -> None:
+    `record` is there once it has ended, and the chair has left the street.
+    """
+
+    def __init__(
+        self, piece: Piece, config: RunConfig, world: World, number: int, policy: Policy
+    ) -> None:
         self.number, self.record = number, None  # type: int, EpisodeRecord | None
         self.watch: Watch | None = None
         self._piece, self._config, self._world = piece, config, world
@@ -141,17 +167,16 @@ class _Seat:
         self._alarms = Alarms(config.world.tick_s)
         self._step = 0  # of the episode
         self._done_m = self._before_m = 0.0
-        self._free = True
-        self._actions, handover = action_set(config.env.actions), self._episode.handover_step
+        self._needless = 0  # since the user overruled
+        self._actions = action_set(config.env.actions)
         agent = PolicyAgentAdapter(policy, self._actions, config.world.users_help_ticks)
-        self._driver = AgentSeatDriver(
-            config, _Handover(agent, handover, self._actions), world.snapshot.clients[number]
-        )
+        self._handover = _Handover(agent, self._episode.handover_step, self._actions)
+        self._driver = AgentSeatDriver(config, self._handover, world.snapshot.clients[number])
 
     @property
     def is_taken_over(self) -> bool:
         """Whether the policy drives, and has chosen once."""
-        return self.record is None and self._step > self._episode.handover_step
+        return self.record is None and self._handover.left < 0
 
     @property
     def observation(self) -> Observation:
@@ -159,16 +184,21 @@ class _Seat:
         return self._driver.observation
 
     def choose(self, now: ClientSnapshot) -> Joystick | None:
-        """The stick of the policy, or of the user before the handover; none when it fails, which ends the episode."""
+        """The stick of the policy, or of the user before the handover.
+
+        None when it fails, which ends the episode.
+        """
         driven = self._step - self._episode.handover_step
         try:
             with _at_most(self._piece.late_s * (FIRST_SHARE if driven <= 0 else 1.0)):
                 stick = self._driver.choose(now)
         except Exception as error:  # whatever a policy does wrong, the others of the block go on
-            self._end(POLICY_FAILED, str(error) if isinstance(error, WcsimError) else describe_user_code_error(error))
+            self._end(
+                POLICY_FAILED,
+                str(error) if isinstance(error, WcsimError) else describe_user_code_error(error),
+            )
             return None
         if driven >= 0:
-            self._free = not self._world.in_danger(self.number)
             self._look_at(self._driver.action, driven)
         return stick
 
@@ -181,14 +211,17 @@ class _Seat:
             self._before_m += step.info["progress_m"]
         else:
             self._done_m += step.info["progress_m"]
-            self._steps.append(KpiStep.of(step.info, self._free))
+            self._steps.append(KpiStep.of(step.info))
         if self.watch is not None:
             self.watch.see(self.number, step, self._world, self.policy)
         events = client.events
         if events.crashed:
             tick_s, reward = self._config.world.tick_s, self._config.reward
-            self._end(CRASHED, **make_crash_fields(events, client.contacts, self._steps, tick_s, reward))
-        elif events.arrived and self._episode.goal_m is not None:  # one that draws its goals goes on to the next
+            self._end(
+                CRASHED, **make_crash_fields(events, client.contacts, self._steps, tick_s, reward)
+            )
+        # One that draws its goals goes on to the next.
+        elif events.arrived and self._episode.goal_m is not None:
             self._end(FINISHED)
         elif events.gave_up and self._episode.goal_m is not None:
             self._end(GAVE_UP)
@@ -201,22 +234,37 @@ class _Seat:
         far = self._actions.distance(action, (float(stick[0]), float(stick[1])))
         taken = far > self._config.reward.max_follow_distance + DISTANCE_TOLERANCE
         warned = isinstance(self.policy, Warns) and self.policy.warning
-        if self._alarms.begin(driven, taken, warned) and self._piece.judged:
-            tick_s = self._config.world.tick_s
-            self._alarms.alone_s[driven] = crash_alone_s(self._world, self.number, self._actions, tick_s)
+        begins = self._alarms.begin(driven, taken, warned)
+        if not begins or not (self._piece.judged or self._piece.overrules):
+            return
+        tick_s = self._config.world.tick_s
+        crash_s = crash_alone_s(self._world, self.number, self._actions, tick_s)
+        self._alarms.alone_s[driven] = crash_s
+        if taken and crash_s is None and driven == self._alarms.taken[-1][0]:
+            self._needless += 1
+        if self._piece.overrules and self._needless == _PATIENCE:
+            self._needless = 0
+            self._handover.left = round(_OVERRULED_S / tick_s)
 
     def _end(self, status: str, reason: str = "", **more: Any) -> None:
-        # A neighbour who was taken over before may have changed the street: nobody is charged with what came of it.
+        # A neighbour who was taken over before may have changed the street: nobody is
+        # charged with what came of it.
         if self._step <= self._episode.handover_step and status != POLICY_FAILED:
-            status, more = NOT_REACHED, {name: more[name] for name in ("reason", "crash") if name in more}
+            status, more = (
+                NOT_REACHED,
+                {name: more[name] for name in ("reason", "crash") if name in more},
+            )
         tick_s = self._config.world.tick_s
         sums = sum_kpi_steps(self._steps, tick_s)
         crash, own = sums["steps"] if status == CRASHED else None, more.get("fault") == "own"
-        warned, to_warn, false = self._alarms.warnings(crash if own else None, None if own else crash)
-        (plant,) = (client.plant for client in self._world.snapshot.clients if client.seat == self.number)
+        warned, to_warn, false = self._alarms.warnings(
+            crash if own else None, None if own else crash
+        )
+        (plant,) = (
+            client.plant for client in self._world.snapshot.clients if client.seat == self.number
+        )
         x_m, y_m, _ = plant.p_WB_m.tolist()
         left_m = max(0.0, self._episode.route_m - self._before_m)
-        share = left_m / self._episode.route_m if self._episode.route_m > 0.0 else 1.0
         self.record = _record(
             self._piece,
             self.number,
@@ -225,7 +273,6 @@ class _Seat:
             time_s=round(sums["steps"] * tick_s, 6),
             route_m=round(left_m, 6),
             done_m=round(left_m if status == FINISHED else max(0.0, self._done_m), 6),
-            reference_s=round(self._episode.reference_s * share, 6),
             missed=own and self._alarms.missed(crash or 0),
             warned=warned,
             to_warn=to_warn,
@@ -242,39 +289,45 @@ class _Seat:
 
 
 class _Handover:
-    """Around an agent: for so many steps of an episode the user drives alone, on the grid of actions."""
+    """Around an agent: for `left` steps the user drives alone, on the grid of actions."""
 
     def __init__(self, agent: ChairAgent, steps: int, actions: ActionSet) -> None:
         self._agent, self._actions = agent, actions
-        self._steps = self._left = steps
+        self._steps = self.left = steps
 
     def reset(self, info: Info) -> None:
         """Begin an episode, in which the agent has one of its own from the handover on."""
-        self._left = self._steps
+        self.left = self._steps
 
     def act(self, observation: Observation, info: Info) -> object:
         """The action nearest to the user's stick, or the agent's."""
-        self._left -= 1
-        if self._left >= 0:
+        self.left -= 1
+        if self.left >= 0:
             return self._actions.nearest(observation["joystick"])
-        if self._left == -1:
+        if self.left == -1:
             self._agent.reset(info)
         return self._agent.act(observation, info)
 
 
 @contextmanager
 def _at_most(limit_s: float) -> Iterator[None]:
-    """Raise PolicyError in this thread, the process's main one, after `limit_s` of the process's own time.
+    """Raise PolicyError in the process's main thread after `limit_s` of its own time.
 
-    On a busy machine a kernel that is compiled may take a multiple by the wall clock, and must not be interrupted.
+    On a busy machine a kernel that is compiled may take a multiple by the wall clock, and must not
+    be interrupted.
     """
-    began_s, began_cpu_s = time.monotonic(), time.process_time()
+    started_s, started_cpu_s = time.monotonic(), time.process_time()
 
     def late(_number: int, _frame: FrameType | None) -> None:
-        if time.process_time() - began_cpu_s < limit_s and time.monotonic() - began_s < STARVED * limit_s:
+        if (
+            time.process_time() - started_cpu_s < limit_s
+            and time.monotonic() - started_s < STARVED * limit_s
+        ):
             signal.setitimer(signal.ITIMER_REAL, limit_s)
             return
-        raise PolicyError(f"the policy gave no answer for {limit_s:g} s; expected one per tick: make it faster")
+        raise PolicyError(
+            f"the policy gave no answer for {limit_s:g} s; expected one per tick: make it faster"
+        )
 
     before = signal.signal(signal.SIGALRM, late)
     signal.setitimer(signal.ITIMER_REAL, limit_s)
@@ -303,6 +356,6 @@ def _record(piece: Piece, seat: int, status: str, reason: str, **more: Any) -> E
 def refused(piece: Piece, reason: str) -> Records:
     """The records of a block whose policy cannot be used at all."""
     return tuple(
-        _record(piece, seat, REFUSED, reason, route_m=episode.route_m, reference_s=episode.reference_s)
+        _record(piece, seat, REFUSED, reason, route_m=episode.route_m)
         for seat, episode in enumerate(piece.block.episodes)
     )

@@ -1,4 +1,7 @@
-"""How well a count, a share or a mean over episodes is known: 95 % intervals, and a test of pairs."""
+"""How well a count, a share or a mean over episodes is known.
+
+95 % intervals, and a test of pairs.
+"""
 
 from collections.abc import Sequence
 from typing import Final
@@ -11,25 +14,14 @@ from wcsim.types import F64
 # Of so many coins one in 32 shows one side alone, of five one in 16: fewer prove nothing at 95 %.
 FEWEST: Final = 6
 _DRAWS: Final = 2000
-_TAIL: Final = 0.5 * (1.0 - 0.95)  # of a distribution on each side of the interval
 
 Interval = tuple[float, float]
 
 
-def garwood(events: int) -> Interval:
-    """The exact (Garwood) 95 % interval of the mean of a Poisson distribution from which `events` were counted once.
-
-    >>> [round(bound, 3) for bound in garwood(5)]
-    [1.623, 11.668]
-    """
-    from scipy.stats import chi2
-
-    low = 0.5 * float(chi2.ppf(_TAIL, 2 * events)) if events else 0.0
-    return low, 0.5 * float(chi2.isf(_TAIL, 2 * events + 2))
-
-
 def wilson(count: int, of: int) -> Interval | None:
-    """Wilson's 95 % interval of a share, which has a width where none or all were counted too; None of nothing.
+    """Wilson's 95 % interval of a share, which has a width where none or all were counted too.
+
+    None of nothing.
 
     >>> [round(bound, 3) for bound in wilson(20, 20)]
     [0.839, 1.0]
@@ -42,16 +34,21 @@ def wilson(count: int, of: int) -> Interval | None:
     return float(low), float(high)
 
 
-def bootstrapped(values: Sequence[float] | F64, weights: Sequence[float] | F64 | None = None) -> Interval | None:
+def bootstrapped(
+    values: Sequence[float] | F64, weights: Sequence[float] | F64 | None = None
+) -> Interval | None:
     """The 95 % interval of a weighted mean over episodes, by drawing episodes anew.
 
-    None without any weight, and of fewer than `FEWEST`. The draws are the same for the same numbers of episodes.
+    None without any weight, and of fewer than `FEWEST`. The draws are the same for the same numbers
+    of episodes.
     """
     value = np.asarray(values, np.float64)
     weight = np.ones(len(value)) if weights is None else np.asarray(weights, np.float64)
     if len(value) < FEWEST or weight.sum() <= 0.0:
         return None
-    drawn = seeding.make_rng(0, "bootstrap", len(value)).integers(0, len(value), (_DRAWS, len(value)))
+    drawn = seeding.make_rng(0, "bootstrap", len(value)).integers(
+        0, len(value), (_DRAWS, len(value))
+    )
     total = weight[drawn].sum(1)
     means = np.where(total > 0.0, (value * weight)[drawn].sum(1) / np.maximum(total, 1e-12), np.nan)
     low, high = np.nanpercentile(means, (2.5, 97.5)).tolist()
@@ -59,7 +56,9 @@ def bootstrapped(values: Sequence[float] | F64, weights: Sequence[float] | F64 |
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """Exact two-sided p-value of McNemar's test: as many or more one-sided pairs if neither were better.
+    """Exact two-sided p-value of McNemar's test.
+
+    As many or more one-sided pairs if neither were better.
 
     >>> round(mcnemar(1, 9), 4)
     0.0215

@@ -1,4 +1,7 @@
-"""Episodes of a suite driven once more, to look at how they ended: what was seen, asked and given, and who was near."""
+"""Episodes of a suite driven once more, to look at how they ended.
+
+What was seen, asked and given, and who was near.
+"""
 
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
@@ -20,7 +23,15 @@ from wcsim.types import F64, ActorState, Joystick, SignalState
 
 NEAR_M: Final = 40.0  # who is farther from the chair is left out
 # A playback makes no forks.
-_OF_FORKS: Final = ("warned", "to_warn", "false_warnings", "interventions", "judged", "last_moment_s", "cause")
+_OF_FORKS: Final = (
+    "warned",
+    "to_warn",
+    "false_warnings",
+    "interventions",
+    "judged",
+    "last_moment_s",
+    "cause",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,7 +41,7 @@ class PlayedStep:
     seat: int
     step: int  # of the episode, the first is 1
     seen: Observation  # as the network gets it
-    asked: Joystick  # by the user, before the step
+    requested: Joystick  # by the user, before the step
     given: Joystick  # by the policy
     speed_mps: float
     motion: tuple[float, float]  # speed ahead, and turn rate in rad/s
@@ -53,8 +64,12 @@ class Played:
     drawn: Any  # what `draw` made of them, None where there was none
 
 
-def play(piece: Piece, seats: Collection[int], steps: int, draw: Draw | None = None) -> tuple[Played, ...]:
-    """Drive a block until these seats have ended; their last `steps` steps, in the order of the seats.
+def play(
+    piece: Piece, seats: Collection[int], steps: int, draw: Draw | None = None
+) -> tuple[Played, ...]:
+    """Drive a block until these seats have ended.
+
+    Their last `steps` steps, in the order of the seats.
 
     Args:
         piece: The block and its policy; forks are left out.
@@ -72,28 +87,32 @@ def play(piece: Piece, seats: Collection[int], steps: int, draw: Draw | None = N
             raise ConfigError(f"block {piece.index} has no seat {seat}; expected 0 to {there[-1]}")
     watch = _LastSteps(frozenset(seats), steps, draw)
     return tuple(
-        Played(record=record, steps=tuple(watch.kept.get(record.seat, ())), drawn=watch.drawn.get(record.seat))
+        Played(
+            record=record,
+            steps=tuple(watch.last.get(record.seat, ())),
+            drawn=watch.drawn.get(record.seat),
+        )
         for record in drive_piece(piece, watch)
         if record.seat in watch.seats
     )
 
 
-def require_same(record: EpisodeRecord, kept: EpisodeRecord) -> None:
+def require_same(record: EpisodeRecord, last: EpisodeRecord) -> None:
     """Compare an episode with one that a result holds; what forks say is left out.
 
     Raises:
         ConfigError: They differ.
     """
     names = [field.name for field in fields(EpisodeRecord) if field.name not in _OF_FORKS]
-    wrong = [name for name in names if getattr(record, name) != getattr(kept, name)]
-    if _spans(record) != _spans(kept):
+    wrong = [name for name in names if getattr(record, name) != getattr(last, name)]
+    if _spans(record) != _spans(last):
         wrong.append("interventions")
     if wrong:
         name = wrong[0]
-        got, expected = (str(getattr(item, name))[:60] for item in (record, kept))
+        actual, expected = (str(getattr(item, name))[:60] for item in (record, last))
         raise ConfigError(
             f"episode {record.block}.{record.seat} differs from the saved one: {name} is "
-            f"{got}, expected {expected}; wcsim, the policy, its settings or the list "
+            f"{actual}, expected {expected}; wcsim, the policy, its settings or the list "
             "has changed since the test: run the test again"
         )
 
@@ -116,7 +135,7 @@ class _LastSteps:
 
     def __init__(self, seats: frozenset[int], steps: int, draw: Draw | None) -> None:
         self.seats, self._draw = seats, draw
-        self.kept: dict[int, deque[PlayedStep]] = {seat: deque(maxlen=steps) for seat in seats}
+        self.last: dict[int, deque[PlayedStep]] = {seat: deque(maxlen=steps) for seat in seats}
         self.drawn: dict[int, Any] = {}
 
     def see(self, seat: int, step: EnvStepResult, world: World, policy: Policy) -> None:
@@ -125,17 +144,21 @@ class _LastSteps:
         objects = info[OBJECTS]
         plant = objects.state
         p_W_m = np.array(plant.p_WB_m, np.float64)
-        near = (_own(actor) for actor in snapshot.actors if np.hypot(*(actor.p_W_m - p_W_m)[:2]) <= NEAR_M)
+        near = (
+            _own(actor)
+            for actor in snapshot.actors
+            if np.hypot(*(actor.p_W_m - p_W_m)[:2]) <= NEAR_M
+        )
         chairs = (
             _own(chair_pose(client.seat, client.plant, ego.chair.outline))
             for client, ego in zip(snapshot.clients, world.seats, strict=True)
         )
-        self.kept[seat].append(
+        self.last[seat].append(
             PlayedStep(
                 seat=seat,
                 step=objects.events.step,
                 seen=env_to_policy_observation(step.observation),
-                asked=objects.asked,
+                requested=objects.asked,
                 given=objects.given,
                 speed_mps=info["speed_mps"],
                 motion=(float(plant.v_B_mps[0]), float(plant.w_B_radps[2])),
@@ -149,5 +172,5 @@ class _LastSteps:
 
     def ended(self, seat: int, world: World) -> None:
         """Draw what is to be drawn."""
-        if self._draw is not None and self.kept[seat]:
-            self.drawn[seat] = self._draw(world, tuple(self.kept[seat]))
+        if self._draw is not None and self.last[seat]:
+            self.drawn[seat] = self._draw(world, tuple(self.last[seat]))

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final, get_type_hints
 
-from wcsim.config.suite import SURVIVED
 from wcsim.core.reading import JsonObject, escape, escape_repr, pluralize
 from wcsim.errors import ConfigError
 
@@ -18,9 +17,13 @@ REFUSED: Final = "refused"
 NOT_REACHED: Final = "not_reached"  # it ended before the policy took over
 STATUSES: Final = (FINISHED, CRASHED, GAVE_UP, TIMED_OUT, POLICY_FAILED, REFUSED, NOT_REACHED)
 
-SCORE_VERSION: Final = 3  # of what a row counts and of its score
+SCORE_VERSION: Final = 4  # of what a row counts and of its score
 
-ON_THE_WAY: Final = ("free", "crossing")  # parts to be driven to the end; in others it is enough to come through
+# parts to be driven to the end; in others it is enough to come through
+ON_THE_WAY: Final = (
+    "free",
+    "crossing",
+)
 
 NEEDED: Final = "needed"
 NEEDLESS: Final = "needless"
@@ -28,12 +31,20 @@ NOT_JUDGED: Final = "not_judged"
 
 _AGAIN: Final = "run the test again with this version"
 _LARGEST: Final = 1e12  # of a number, so that sums and squares of any are finite
-_PLAIN: Final[Mapping[type, tuple[type, ...]]] = {int: (int,), float: (int, float), str: (str,), bool: (bool,)}
+_PLAIN: Final[Mapping[type, tuple[type, ...]]] = {
+    int: (int,),
+    float: (int, float),
+    str: (str,),
+    bool: (bool,),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intervention:
-    """A run of steps with a joystick distance above 0.1768, gaps under 0.5 s joined, and what its forks said."""
+    """A run of steps with a joystick distance above 0.1768, and what its forks said.
+
+    Gaps under 0.5 s are joined.
+    """
 
     first: int  # step of the episode, of the policy's part
     last: int
@@ -61,15 +72,8 @@ class EpisodeRecord:
     m: float = 0.0
     route_m: float = 0.0  # that was left when the policy took over
     done_m: float = 0.0  # of it
-    reference_s: float = 0.0  # for it
     distance_sum: float = 0.0  # of joystick distances, KPI 1's
     within: int = 0  # steps with one of at most 0.1768
-    free_steps: int = 0  # without danger when the policy answered
-    free_sum: float = 0.0  # of their joystick distances
-    blocked_steps: int = 0
-    moving_steps: int = 0  # free ones in which the user's stick is out
-    moving_sum: float = 0.0
-    moving_within: int = 0
     freezes: int = 0
     goals: int = 0  # destinations reached
     given_up: int = 0
@@ -88,7 +92,8 @@ class EpisodeRecord:
     asked_travel: float = 0.0  # and of the user's own
     helps: int = 0  # times that the user asked for help
     path_m: tuple[tuple[float, float], ...] = ()  # once a second, and at the end, W
-    last_moment_s: float | None = None  # before its crash, at which a copy of the world still survived
+    # before its crash, at which a copy of the world still survived
+    last_moment_s: float | None = None
     cause: str = ""  # of its crash: unseen, missed, late, given_back or in_vain
 
     @property
@@ -102,30 +107,18 @@ class EpisodeRecord:
         return self.status == CRASHED and self.fault == "own"
 
     @property
-    def score(self) -> float:
-        """Where it is enough to survive: 0 after any crash, else the share of steps in no needless intervention.
+    def score(self) -> float | None:
+        """0 after any crash, else the share of steps in no needless intervention.
 
-        Elsewhere 0 after an own crash or a red entry, else way done x pace x obedience, each at most 1.
+        Without forks: the share of steps within 0.1768. None on a way, where one is to arrive.
         """
-        if self.part in SURVIVED and self.judged:
-            needless = sum(item.needless_steps for item in self.interventions)
-            return 1.0 - needless / self.steps if self.driven and self.status != CRASHED else 0.0
-        if not self.driven or self.red_entries:
+        if self.part in ON_THE_WAY:
+            return None
+        if self.status == CRASHED or not self.held or not self.steps:
             return 0.0
-        done, pace, obeyed = self.score_parts
-        return done * pace * obeyed
-
-    @property
-    def score_parts(self) -> tuple[float, float, float]:
-        """Way done, pace and obedience, each from 0 to 1."""
-        done = min(1.0, self.done_m / self.route_m) if self.route_m > 0.0 else 1.0
-        pace = min(1.0, self.reference_s / self.time_s) if self.time_s > 0.0 else 1.0
-        return done, pace, self.moving_within / self.moving_steps if self.moving_steps else 1.0
-
-    @property
-    def driven(self) -> bool:
-        """Whether the policy drove, and crashed by no fault of its own."""
-        return not self.own and self.held and self.steps > 0
+        if not self.judged:
+            return self.within / self.steps
+        return 1.0 - sum(item.needless_steps for item in self.interventions) / self.steps
 
     @property
     def held(self) -> bool:
@@ -144,27 +137,39 @@ def both_counted(
     records: Iterable[EpisodeRecord], others: Iterable[EpisodeRecord]
 ) -> list[tuple[EpisodeRecord, EpisodeRecord]]:
     """The pairs of the same episodes that count for both."""
-    return [(mine, other) for mine, other in zip(records, others, strict=True) if mine.counts and other.counts]
+    return [
+        (own, other)
+        for own, other in zip(records, others, strict=True)
+        if own.counts and other.counts
+    ]
 
 
-def saved_and_lost(records: Iterable[EpisodeRecord], others: Iterable[EpisodeRecord]) -> tuple[int, int]:
-    """Own crashes that the others have in the same episodes and these have not, and the other way round.
+def saved_and_lost(
+    records: Iterable[EpisodeRecord], others: Iterable[EpisodeRecord]
+) -> tuple[int, int]:
+    """Crashes that the others have in the same episodes and these have not, and the reverse.
 
     Where a policy failed or was refused nobody drove to the end, and nothing was saved.
     """
-    pairs = [(mine, other) for mine, other in both_counted(records, others) if mine.own is not other.own]
-    saved = sum(other.own and mine.held for mine, other in pairs)
-    return saved, sum(mine.own and other.held for mine, other in pairs)
+    pairs = [
+        (own, other)
+        for own, other in both_counted(records, others)
+        if own.held and other.held and (own.status == CRASHED) is not (other.status == CRASHED)
+    ]
+    lost = sum(own.status == CRASHED for own, _ in pairs)
+    return len(pairs) - lost, lost
 
 
 def undriven(policy: str, records: Sequence[EpisodeRecord]) -> list[str]:
-    """A line for each way in which a policy was of no use, with its most frequent reason; none where it always was.
+    """A line for each way in which a policy was of no use, with its most frequent reason.
+
+    None where it always was.
 
     >>> place = {"block": 0, "seat": 0, "part": "free", "town": "helsinki", "profile": "ataxic"}
     >>> undriven("mine", [EpisodeRecord(**place, status=REFUSED, reason="it has no weights")])
     ['mine: refused in 1 of 1 episode: it has no weights']
     """
-    told = []
+    lines = []
     for status, word in ((REFUSED, "refused"), (POLICY_FAILED, "failed")):
         reasons = Counter(record.reason for record in records if record.status == status)
         if reasons:
@@ -172,8 +177,10 @@ def undriven(policy: str, records: Sequence[EpisodeRecord]) -> list[str]:
             more = f" (and {other}, see episodes.json)" if len(reasons) > 1 else ""
             reason = " ".join(reasons.most_common(1)[0][0].split())
             of = pluralize(len(records), "episode")
-            told.append(f"{policy}: {word} in {reasons.total()} of {of}: {escape(reason, 400)}{more}")
-    return told
+            lines.append(
+                f"{policy}: {word} in {reasons.total()} of {of}: {escape(reason, 400)}{more}"
+            )
+    return lines
 
 
 def record_of(data: object) -> EpisodeRecord:
@@ -183,24 +190,35 @@ def record_of(data: object) -> EpisodeRecord:
     kinds = get_type_hints(EpisodeRecord)
     other = sorted(set(data) ^ set(kinds))
     if other:
-        raise ConfigError(f"an episode without, or with an unknown, {escape(str(other[0]))}: {_AGAIN}")
+        raise ConfigError(
+            f"an episode without, or with an unknown, {escape(str(other[0]))}: {_AGAIN}"
+        )
     for name, kind in kinds.items():
         if kind in _PLAIN and not _is(data[name], _PLAIN[kind]):
-            raise ConfigError(f"{name} of an episode is {escape_repr(data[name])}, expected {kind.__name__}: {_AGAIN}")
+            raise ConfigError(
+                f"{name} of an episode is {escape_repr(data[name])}, expected {kind.__name__}: "
+                f"{_AGAIN}"
+            )
     try:
         found = [Intervention(**item) for item in data["interventions"]]
         places = _points(data["path_m"]), _points([data["end_m"]])[0]
     except (TypeError, ValueError) as error:
         raise ConfigError(f"a part of an episode is damaged ({error}): {_AGAIN}") from None
     if data["status"] not in STATUSES:
-        raise ConfigError(f"status {escape(data['status'])!r}; expected one of {', '.join(STATUSES)}: {_AGAIN}")
-    return EpisodeRecord(**{**data, "interventions": tuple(found), "path_m": places[0], "end_m": places[1]})
+        raise ConfigError(
+            f"status {escape(data['status'])!r}; expected one of {', '.join(STATUSES)}: {_AGAIN}"
+        )
+    return EpisodeRecord(
+        **{**data, "interventions": tuple(found), "path_m": places[0], "end_m": places[1]}
+    )
 
 
 def _is(value: object, expected: tuple[type, ...]) -> bool:
     if isinstance(value, bool) and bool not in expected:
         return False
-    return isinstance(value, expected) and (not isinstance(value, int | float) or abs(value) <= _LARGEST)
+    return isinstance(value, expected) and (
+        not isinstance(value, int | float) or abs(value) <= _LARGEST
+    )
 
 
 def _points(items: Any) -> tuple[tuple[float, float], ...]:

@@ -16,7 +16,8 @@ from wcsim.errors import ConfigError
 
 RESULT: Final = "result.json"
 EPISODES: Final = "episodes.json"
-ASKED: Final = "asked.json"  # with what words the test was asked for, as far as the result does not say it
+# with what words the test was asked for, as far as the result does not say it
+ASKED: Final = "asked.json"
 LIST: Final = "list.json"  # the episodes that were drawn for it
 TOWNS: Final = "towns"  # made ones lie there
 _MOST_TEXT: Final = 4096
@@ -47,31 +48,45 @@ class TestResult:
 
     def counted(self, policy: str) -> list[EpisodeRecord]:
         """A policy's episodes that count for each of the policies."""
-        left_out = {(each.block, each.seat) for found in self.episodes.values() for each in found if not each.counts}
+        left_out = {
+            (each.block, each.seat)
+            for found in self.episodes.values()
+            for each in found
+            if not each.counts
+        }
         return [each for each in self.episodes[policy] if (each.block, each.seat) not in left_out]
 
     def to_json(self) -> JsonObject:
-        """What `result.json` holds: the whole result as plain values; the version is in the suite's name.
+        """What `result.json` holds: the whole result as plain values.
 
-        The last is a hash over what was asked and every number of its episodes, of which the rows are few.
+        The version is in the suite's name.
+
+        The last is a hash over what was asked and every number of its episodes.
         """
-        said: JsonObject = {name: getattr(self, name) for name in ("suite", "set", "list_sha256")}
-        said |= {"score_version": SCORE_VERSION, "changed": list(self.changed)}
-        text = hashlib.sha256(json.dumps(said).encode())
+        content: JsonObject = {
+            name: getattr(self, name) for name in ("suite", "set", "list_sha256")
+        }
+        content |= {"score_version": SCORE_VERSION, "changed": list(self.changed)}
+        text = hashlib.sha256(json.dumps(content).encode())
         for policy, found in self.episodes.items():
             text.update(json.dumps([policy, *(each.to_json() for each in found)]).encode())
         rows, pooled = ([row.to_json() for row in rows] for rows in (self.rows, self.pooled))
-        return {**said, "rows": rows, "pooled": pooled, "sha256": text.hexdigest()}
+        return {**content, "rows": rows, "pooled": pooled, "sha256": text.hexdigest()}
 
 
-def result_of(episodes: Mapping[str, Sequence[EpisodeRecord]], **said: Any) -> TestResult:
-    """The result of these episodes, by policy; `said` is the rest of it, by the names of its fields."""
-    tables = [pooled_rows(name, found, episodes.get(UNAIDED, ())) for name, found in episodes.items()]
+def result_of(episodes: Mapping[str, Sequence[EpisodeRecord]], **content: Any) -> TestResult:
+    """The result of these episodes, by policy.
+
+    `said` is the rest of it, by the names of its fields.
+    """
+    tables = [
+        pooled_rows(name, found, episodes.get(UNAIDED, ())) for name, found in episodes.items()
+    ]
     return TestResult(
         rows=tuple(row for rows, _ in tables for row in rows),
         pooled=tuple(whole for _, whole in tables),
         episodes={name: tuple(found) for name, found in episodes.items()},
-        **said,
+        **content,
     )
 
 
@@ -81,7 +96,9 @@ def read_episodes(folder: Path) -> dict[str, Records]:
     found = {}
     for name, items in read_json(path, reading.RESULT).items():
         if not isinstance(items, list) or not items:
-            raise ConfigError(f"{escape(path)}: is damaged; expected a list of episodes for each policy")
+            raise ConfigError(
+                f"{escape(path)}: is damaged; expected a list of episodes for each policy"
+            )
         try:
             found[name] = tuple(map(record_of, items))
         except ConfigError as error:
@@ -93,29 +110,40 @@ def read_result(folder: Path) -> TestResult:
     """A finished test. Raises ConfigError when the folder holds none."""
     path = folder / RESULT
     data = read_json(path, reading.RESULT)
-    asked = read_json(folder / ASKED, reading.RESULT) if is_file(folder / ASKED) else {}
+    request = read_json(folder / ASKED, reading.RESULT) if is_file(folder / ASKED) else {}
     changed = data.get("changed")
     if not isinstance(changed, list):
-        raise ConfigError(f"{escape(path)}: is damaged; expected the list `changed`: run the test again")
-    said = {name: data.get(name) for name in ("suite", "set", "list_sha256")}
-    said |= {name: asked.get(name, usual) for name, usual in (("preset", "quick"), ("network", ""), ("out", ""))}
-    said["list_name"] = asked.get("suite", data.get("set"))
-    texts = {name: _text(value, path) for name, value in said.items()}
-    result = result_of(read_episodes(folder), changed=tuple(_text(word, path) for word in changed), **texts)
+        raise ConfigError(
+            f"{escape(path)}: is damaged; expected the list `changed`: run the test again"
+        )
+    content = {name: data.get(name) for name in ("suite", "set", "list_sha256")}
+    content |= {
+        name: request.get(name, usual)
+        for name, usual in (("preset", "quick"), ("network", ""), ("out", ""))
+    }
+    content["list_name"] = request.get("suite", data.get("set"))
+    texts = {name: _text(value, path) for name, value in content.items()}
+    result = result_of(
+        read_episodes(folder), changed=tuple(_text(word, path) for word in changed), **texts
+    )
     if _plain(data) != _plain(result.to_json()):
         raise ConfigError(
-            f"{escape(path)}: is not what {EPISODES} beside it gives by version {SCORE_VERSION} of the score; "
-            "expected both of one test: run it again with --resume, which keeps what was driven"
+            f"{escape(path)}: is not what {EPISODES} beside it gives by version {SCORE_VERSION} of "
+            "the score; expected both of one test: run it again with --resume, which keeps what "
+            "was driven"
         )
     return result
 
 
-def _plain(said: Any) -> Any:
+def _plain(content: Any) -> Any:
     """As JSON holds it, without the last digits of its numbers: processors differ in them."""
-    return json.loads(json.dumps(said), parse_float=lambda digits: round(float(digits), 6))
+    return json.loads(json.dumps(content), parse_float=lambda digits: round(float(digits), 6))
 
 
 def _text(value: object, path: Path) -> str:
     if not isinstance(value, str) or len(value) > _MOST_TEXT:
-        raise ConfigError(f"{escape(path)}: is damaged; got {str(value)[:40]!r}, expected a text: run the test again")
+        raise ConfigError(
+            f"{escape(path)}: is damaged; got {str(value)[:40]!r}, expected a text: run the test "
+            "again"
+        )
     return value

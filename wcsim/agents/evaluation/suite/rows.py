@@ -1,7 +1,8 @@
 """The figures of a test: what each is, how it is summed over episodes, and how tables show it.
 
-A figure is one entry of `ResultRow`, whose place there is its place in result.json. What an episode's
-record does not hold yet is measured in `supervisor/kpi.py` or `drive.py`, under a new field of the record.
+A figure is one entry of `ResultRow`, whose place there is its place in result.json. What an
+episode's record does not hold yet is measured in `supervisor/kpi.py` or `drive.py`, under a new
+field of the record.
 """
 
 from __future__ import annotations
@@ -12,12 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Final
 
-import numpy as np
-
 from wcsim.agents.evaluation.suite.intervals import (
     Interval,
     bootstrapped,
-    garwood,
     mcnemar,
     wilson,
 )
@@ -62,7 +60,7 @@ class Column:
     key: str  # of `ResultRow`
     question: str
     heading: str
-    says: str
+    description: str
     form: str = "{:d}"
     range_form: str = ""  # of its two ends; "" for that of the figure
     counted_in: str = ""  # key of a number: where that is 0 there is no figure
@@ -104,8 +102,7 @@ class _Drives:
         self.arrived = sum(each.status == FINISHED for each in self.directed)
         self.judged = [each for each in self.counted if each.judged]
         self.km = _total(self.counted, "m") / 1000.0
-        self.judged_km = _total(self.judged, "m") / 1000.0
-        self.scores = [each.score for each in self.counted]
+        self.scores = [score for each in self.counted if (score := each.score) is not None]
 
 
 _Sum = Callable[[_Drives], Any]
@@ -145,14 +142,19 @@ def _per_km(count: float, km: float) -> Measured:
     return count / km if km >= _FAR_ENOUGH_KM else None
 
 
-def _crash_rate_range(d: _Drives) -> Range:
-    low, high = garwood(d.own)
-    return (low / d.km, high / d.km) if d.km >= _FAR_ENOUGH_KM else None
+def _followed_range(d: _Drives) -> Range:
+    shares = [_share(each.within, each.steps) or 0.0 for each in d.counted]
+    return bootstrapped(shares, [float(each.steps) for each in d.counted])
 
 
-def _obedience_range(d: _Drives) -> Range:
-    shares = [_share(each.moving_within, each.moving_steps) or 0.0 for each in d.counted]
-    return bootstrapped(shares, [float(each.moving_steps) for each in d.counted])
+def _pace(d: _Drives) -> Measured:
+    pairs = both_counted(d.all, d.unaided) if d.unaided else ()
+    shares = [
+        user.time_s / own.time_s
+        for own, user in pairs
+        if own.status == user.status == FINISHED and own.time_s
+    ]
+    return _share(math.fsum(shares), len(shares))
 
 
 def _jerkiness(d: _Drives) -> Measured:
@@ -181,7 +183,9 @@ class ResultRow:
 
     policy: str
     part: str  # "" for all
-    episodes: int = _figure(lambda d: len(d.counted), _FAULT, "drives: however they ended, less those uncounted")
+    episodes: int = _figure(
+        lambda d: len(d.counted), _FAULT, "drives: however they ended, less those uncounted"
+    )
     uncounted: int = _figure(
         lambda d: len(d.all) - len(d.counted),
         _FAULT,
@@ -206,7 +210,9 @@ class ResultRow:
         range_form="{:.0%}",
     )
     crashes_own_ci: Range = _figure(lambda d: wilson(d.own, len(d.counted)))
-    crashes_other: int = _figure(lambda d: len(d.crashed) - d.own, _FAULT, "crashes by others: by another's fault")
+    crashes_other: int = _figure(
+        lambda d: len(d.crashed) - d.own, _FAULT, "crashes by others: by another's fault"
+    )
     drops: int = _figure(
         lambda d: sum(each.reason == DROP for each in d.crashed),
         _FAULT,
@@ -215,14 +221,6 @@ class ResultRow:
     crash_reasons: Mapping[str, int] = _figure(
         lambda d: dict(sorted(Counter(each.reason for each in d.crashed).items()))
     )
-    crashes_per_km: Measured = _figure(
-        lambda d: _per_km(d.own, d.km),
-        _FAULT,
-        "own crashes per km: with Garwood's interval",
-        "{:.2f}",
-        after="crashes_own",
-    )
-    crashes_per_km_ci: Range = _figure(_crash_rate_range)
     red_entries: int = _figure(
         _count("red_entries"),
         _FAULT,
@@ -234,51 +232,18 @@ class ResultRow:
         "KPI 1: mean distance between the driven and the user's stick, over all steps",
         "{:.3f}",
     )
-    kpi1_within: Measured = _figure(
+    followed: Measured = _figure(
         _ratio("within", "steps"),
-        _OBEDIENCE,
-        "within 0.1768: share of all steps within 0.1768 of the user's stick",
-        "{:.0%}",
-    )
-    kpi1_free: Measured = _figure(
-        _ratio("free_sum", "free_steps"),
-        _OBEDIENCE,
-        "KPI 1, free steps: over steps without danger",
-        "{:.3f}",
-    )
-    kpi1_moving: Measured = _figure(
-        _ratio("moving_sum", "moving_steps"),
-        _OBEDIENCE,
-        "KPI 1, moving free steps: over steps without danger in which the user's stick is out",
-        "{:.3f}",
-    )
-    kpi1_free_within: Measured = _figure(
-        _ratio("moving_within", "moving_steps"),
         _GLANCE,
-        "did what was asked: share of moving steps without danger within 0.1768 of the user's stick",
+        "did what was asked: share of steps within 0.1768 of the user's stick",
         "{:.0%}",
     )
-    kpi1_free_within_ci: Range = _figure(_obedience_range)
-    free_share: Measured = _figure(
-        _ratio("free_steps", "steps"),
-        _OBEDIENCE,
-        "free steps: share of steps without danger",
-        "{:.0%}",
-    )
+    followed_ci: Range = _figure(_followed_range)
     kpi2: Measured = _figure(
         lambda d: _share(_count("steps")(d), len(d.counted)),
         _ARRIVAL,
         "KPI 2: steps of a drive until a crash or its end, mean",
         "{:.0f}",
-    )
-    kpi2_median: Measured = _figure(
-        lambda d: float(np.median([each.steps for each in d.counted])) if d.counted else None
-    )
-    blocked_share: Measured = _figure(
-        _ratio("blocked_steps", "free_steps"),
-        _OBEDIENCE,
-        "blocked: share of steps without danger that give less than half of the user's push ahead",
-        "{:.1%}",
     )
     freezes: int = _figure(
         _count("freezes"),
@@ -299,7 +264,9 @@ class ResultRow:
         "{:.2f}",
     )
     asked_travel_per_s: Measured = _figure(_ratio("asked_travel", "time_s"))
-    speed_mps: Measured = _figure(_ratio("m", "time_s"), _ARRIVAL, "speed, m/s: mean", "{:.2f}", after="crossings")
+    speed_mps: Measured = _figure(
+        _ratio("m", "time_s"), _ARRIVAL, "speed, m/s: mean", "{:.2f}", after="crossings"
+    )
     arrived: int = _figure(
         lambda d: d.arrived,
         _GLANCE,
@@ -310,12 +277,20 @@ class ResultRow:
     )
     attempts: int = _figure(lambda d: len(d.directed))
     arrived_ci: Range = _figure(lambda d: wilson(d.arrived, len(d.directed)))
+    pace: Measured = _figure(
+        _pace,
+        _ARRIVAL,
+        "pace: the user's own time over that with the policy, where both arrived, mean",
+        "{:.0%}",
+    )
     goals: int = _figure(
         _count("goals"),
         _ARRIVAL,
         "goals: destinations reached, also in drives that go on to another",
     )
-    given_up: int = _figure(_count("given_up"), _ARRIVAL, "given up: destinations that the user gave up")
+    given_up: int = _figure(
+        _count("given_up"), _ARRIVAL, "given up: destinations that the user gave up"
+    )
     crossings: int = _figure(_count("crossings"), _ARRIVAL, "crossings: crossings completed")
     road_s: float = _figure(
         lambda d: _total(d.counted, "road_s"),
@@ -324,11 +299,10 @@ class ResultRow:
         "{:.0f}",
     )
     score: Measured = _figure(
-        lambda d: _share(math.fsum(d.scores), len(d.counted)),
+        lambda d: _share(math.fsum(d.scores), len(d.scores)),
         _GLANCE,
-        "score: 0 after an own crash or a red light, else share of the route x pace x what was done as "
-        "asked; where it is enough to survive 0 after any crash, else share of steps in no unneeded intervention; "
-        "mean over drives",
+        "score: 0 after any crash, else the share of steps in no unneeded intervention; where "
+        "nobody judged them, within 0.1768; mean over drives with nowhere to arrive",
         "{:.2f}",
     )
     score_ci: Range = _figure(lambda d: bootstrapped(d.scores))
@@ -338,21 +312,21 @@ class ResultRow:
         "interventions: stretches in which the policy did not do what was asked, in all drives",
     )
     judged_episodes: int = _figure(lambda d: len(d.judged))
-    judged_km: float = _figure(lambda d: d.judged_km)
     needed: int = _figure(
         lambda d: sum(_interventions(d, NEEDED)),
         _ALARMS,
-        "needed: judged interventions without which the user crashes within 5 s: a copy of the world says so",
+        "needed: judged ones without which a copy of the world shows a crash within 5 s",
         after="missed",
     )
     unneeded: int = _figure(
         lambda d: sum(_interventions(d, NEEDLESS)),
         _GLANCE,
-        "unneeded interventions: without which nothing happens within 5 s, in the drives that were judged so",
+        "unneeded interventions: without which nothing happens within 5 s, in the drives that "
+        "were judged so",
         "{:d} in {row.judged_episodes}",
         range_form="{:.0f}",
         counted_in="judged_episodes",
-        after="kpi1_free_within",
+        after="followed",
     )
     unneeded_ci: Range = _figure(_unneeded_range)
     missed: int = _figure(
@@ -363,28 +337,25 @@ class ResultRow:
     warned_share: Measured = _figure(
         lambda d: _share(_total(d.judged, "warned"), _total(d.judged, "to_warn")),
         _ALARMS,
-        "warned in time: share of dangers with a warning at least 1 s ahead; 0 % if the policy cannot warn",
+        "warned in time: share of dangers with a warning at least 1 s ahead; 0 % if it cannot warn",
         "{:.0%}",
     )
     false_warnings_per_km: Measured = _figure(
-        lambda d: _per_km(_total(d.judged, "false_warnings"), d.judged_km),
+        lambda d: _per_km(_total(d.judged, "false_warnings"), _total(d.judged, "m") / 1000.0),
         _ALARMS,
         "false warnings per km: warnings that no danger follows",
         "{:.0f}",
     )
     helps: int = _figure(_count("helps"), _ALARMS, "help: times that the user asked for help")
-    unaided_crashes_own: int | None = _figure(
-        lambda d: sum(user.own for _, user in both_counted(d.all, d.unaided)) if d.unaided else None
-    )
     saved: int | None = _figure(
         lambda d: d.saved_lost and d.saved_lost[0],
         _FAULT,
-        "saved: drives with an own crash of the user alone, and none with the policy",
+        "saved: drives with a crash of the user alone, and none with the policy",
     )
     lost: int | None = _figure(
         lambda d: d.saved_lost and d.saved_lost[1],
         _FAULT,
-        "lost: drives with an own crash with the policy, and none of the user alone",
+        "lost: drives with a crash with the policy, and none of the user alone",
     )
     mcnemar_p: Measured = _figure(
         lambda d: d.saved_lost and mcnemar(*d.saved_lost),
@@ -418,7 +389,10 @@ COLUMNS: Final = sorted(
         bool(column.after),
     ),
 )
-GROUPS: Final = {question: [column for column in COLUMNS if column.question == question] for question in _QUESTIONS}
+GROUPS: Final = {
+    question: [column for column in COLUMNS if column.question == question]
+    for question in _QUESTIONS
+}
 LOOK: Final = GROUPS[_GLANCE]  # all that a first look needs
 
 
@@ -437,7 +411,9 @@ def row_of(policy: str, part: str, records: Episodes, unaided: Episodes) -> Resu
     return ResultRow(policy=policy, part=part, **figures)
 
 
-def pooled_rows(policy: str, records: Episodes, unaided: Episodes) -> tuple[list[ResultRow], ResultRow]:
+def pooled_rows(
+    policy: str, records: Episodes, unaided: Episodes
+) -> tuple[list[ResultRow], ResultRow]:
     """A policy's rows by part, in the order of the parts' first episodes, and that of all."""
     rows = []
     for part in dict.fromkeys(record.part for record in records):

@@ -1,4 +1,7 @@
-"""A suite, driven by several processes: each block by itself, in any order, kept as soon as it is done."""
+"""A suite, driven by several processes.
+
+Each block by itself, in any order, kept as soon as it is done.
+"""
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -12,13 +15,26 @@ from wcsim.agents.evaluation.suite.alarms import Survival
 from wcsim.agents.evaluation.suite.drive import LATE_S, Piece, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.records import CRASHED, Records, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
-from wcsim.agents.opening.list_file import HashedSuite, load_suite_towns, make_block_setup, require_block_towns
-from wcsim.agents.opening.named_policy import list_policy_overrides, open_named_policy, resolve_policy_config
+from wcsim.agents.opening.list_file import (
+    HashedSuite,
+    load_suite_towns,
+    make_block_setup,
+    require_block_towns,
+)
+from wcsim.agents.opening.named_policy import (
+    list_policy_overrides,
+    open_named_policy,
+    resolve_policy_config,
+)
 from wcsim.agents.policies.served_policy import ServedPolicyClient
 from wcsim.agents.policy_api import UNAIDED, Policy
 from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_folder_from_name
-from wcsim.agents.runs.transfer import folder_to_input_files, require_sendable_run, town_to_input_files
+from wcsim.agents.runs.transfer import (
+    folder_to_input_files,
+    require_sendable_run,
+    town_to_input_files,
+)
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_from_override
 from wcsim.config.suite import SuiteBlock
@@ -30,7 +46,13 @@ from wcsim.core.plugins import find_user_class_files, import_class
 from wcsim.core.reading import BLOCK, escape, is_file, read_json
 from wcsim.core.sources import hash_package_code, read_package_version
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.server.workers.machines import HERE, ToLocalPath, WorkerPoolSettings, WorkInputFiles, WorkPiece
+from wcsim.server.workers.machines import (
+    HERE,
+    ToLocalPath,
+    WorkerPoolSettings,
+    WorkInputFiles,
+    WorkPiece,
+)
 from wcsim.server.workers.scheduler import WorkerStatus, WorkScheduler
 from wcsim.supervisor.actions import action_set
 from wcsim.towns.cache.folder import cache_folder, write_verdict
@@ -59,13 +81,16 @@ class SuiteOrder:
     late_s: float = LATE_S
     hook: str = ""  # the user's own step hook, module:Class
     together: tuple[str, ...] = ()  # policies that take turns in the seats of each block
-    shared: bool = False  # blocks of the user alone are read from the cache, and saved there for other tests
+    # Blocks of the user alone are read from the cache, and saved there for other tests.
+    shared: bool = False
+    overrules: bool = False  # users take over for 20 s after two needless interventions
 
 
 def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[str, Records]:
     """Drive all episodes with each policy; records by policy, in the order of the list.
 
-    What is kept in `order.out` from before is not driven again. KeyboardInterrupt leaves what is done there.
+    What is kept in `order.out` from before is not driven again. KeyboardInterrupt leaves what is
+    done there.
 
     Raises:
         ConfigError: The list cannot be used, or a kept result is broken.
@@ -77,7 +102,7 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     require_block_towns(file)
     towns = town_addresses(order)
     judged = _judged_blocks(file.blocks, order.forks)
-    kept: dict[tuple[str, int], Records] = {}
+    saved: dict[tuple[str, int], Records] = {}
     left: list[tuple[Piece, tuple[Path, ...]]] = []
     chairs = {name: order.together if name in order.together else (name,) for name in policies}
     digests = {names[0]: _policy_digest(names[0], order) for names in chairs.values()}
@@ -85,25 +110,28 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
         for index in range(len(file.blocks)):
             # By what its result depends on: its list, its place in it, and the policy's digest.
             key = sha256_from_text(json.dumps([file.suite, order.suite.sha256, index, digest]))
-            path, cached = order.out / KEPT / f"{key}.json", cache_folder() / f"rows-{key[:32]}.json"
+            path, cached = (
+                order.out / KEPT / f"{key}.json",
+                cache_folder() / f"rows-{key[:32]}.json",
+            )
             if path.is_file():
-                kept[policy, index] = _read_kept(path)
+                saved[policy, index] = _read_saved(path)
                 continue
             # The user alone drives beside every policy. Where his rows are damaged he drives again.
             is_shared = order.shared and policy == UNAIDED
             with suppress(ConfigError):
                 if is_shared and cached.is_file():
-                    kept[policy, index] = _read_kept(cached)
-                    done(policy, sum(name == policy for name, _ in kept), len(file.blocks))
+                    saved[policy, index] = _read_saved(cached)
+                    done(policy, sum(name == policy for name, _ in saved), len(file.blocks))
                     continue
             places = (path, cached) if is_shared else (path,)
             left.append((piece_of(order, index, policy, towns, judged=index in judged), places))
-    _drive_all(order, left, kept, done, len(file.blocks))
+    _drive_all(order, left, saved, done, len(file.blocks))
     return {
         policy: tuple(
             record
             for index in range(len(file.blocks))
-            for record in kept[names[0], index]
+            for record in saved[names[0], index]
             if names[(record.block + record.seat) % len(names)] == policy
         )
         for policy, names in chairs.items()
@@ -111,20 +139,30 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
 
 
 def require_usable(order: SuiteOrder, policies: Iterable[str]) -> None:
-    """Open each policy once, as every block does: what can be used in none is known before anything is driven.
+    """Open each policy once, as every block does.
+
+    What can be used in none is known before anything is driven.
 
     Raises:
-        PolicyError: There is no such policy, it cannot be built, or it does not fit the list's settings.
+        PolicyError: There is no such policy, it cannot be built, or it does not fit the list.
         ConfigError: The settings cannot be used.
     """
     for name in policies:
-        config = resolve_policy_config(name, order.preset, (*order.suite.file.settings, *order.settings), in_list=True)
+        config = resolve_policy_config(
+            name, order.preset, (*order.suite.file.settings, *order.settings), in_list=True
+        )
         with ExitStack() as opened:
-            resolve(config, list_policy_overrides(config, _open_in(opened, name, config, 0, order.network)))
+            resolve(
+                config,
+                list_policy_overrides(config, _open_in(opened, name, config, 0, order.network)),
+            )
 
 
 def _open_in(opened: ExitStack, name: str, config: RunConfig, seed: int, network: str) -> Policy:
-    """A policy that is closed with the stack, if it has something to close. Raises as `open_named_policy` does."""
+    """A policy that is closed with the stack, if it has something to close.
+
+    Raises as `open_named_policy` does.
+    """
     policy = open_named_policy(name, config, seed, network or None)
     if hasattr(policy, "close"):
         opened.callback(policy.close)
@@ -133,10 +171,15 @@ def _open_in(opened: ExitStack, name: str, config: RunConfig, seed: int, network
 
 def town_addresses(order: SuiteOrder) -> dict[str, str]:
     """Where the list's towns are, by name. Raises TownError, see `load_suite_towns`."""
-    return {name: town.address for name, town in load_suite_towns(order.suite.file, order.out / TOWNS).items()}
+    return {
+        name: town.address
+        for name, town in load_suite_towns(order.suite.file, order.out / TOWNS).items()
+    }
 
 
-def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str], judged: bool) -> Piece:
+def piece_of(
+    order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str], judged: bool
+) -> Piece:
     """One block with one policy; `towns` as in `town_addresses`."""
     file = order.suite.file
     block = file.blocks[index]
@@ -152,48 +195,60 @@ def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str
         judged=judged,
         late_s=order.late_s,
         hook=order.hook,
+        overrules=order.overrules,
     )
 
 
 def _drive_all(
     order: SuiteOrder,
     left: Iterable[tuple[Piece, tuple[Path, ...]]],
-    kept: dict[tuple[str, int], Records],
+    saved: dict[tuple[str, int], Records],
     done: Done,
     blocks: int,
 ) -> None:
-    asked = {_work_key(piece): (piece, places) for piece, places in left}
-    if not asked:
+    ordered = {_work_key(piece): (piece, places) for piece, places in left}
+    if not ordered:
         return
 
-    def keep(key: str, data: bytes) -> None:
-        path, *cached = asked[key][1]
+    def save(key: str, data: bytes) -> None:
+        path, *cached = ordered[key][1]
         write_json(path, {"records": json.loads(data)})
         for place in cached:
             write_verdict(place, path.read_bytes())
 
-    # The longest first: a block of many episodes at the end would leave all other processes without work.
-    pieces = sorted((piece for piece, _ in asked.values()), key=lambda piece: -len(piece.block.episodes))
-    waiting = set(asked)
+    # The longest first: a block of many episodes at the end would leave all other processes
+    # without work.
+    pieces = sorted(
+        (piece for piece, _ in ordered.values()), key=lambda piece: -len(piece.block.episodes)
+    )
+    waiting = set(ordered)
     machines = replace(order.machines, count=order.jobs)
     if machines.cluster:
         policies = {piece.policy for piece in pieces}
         for policy in sorted(policies):
             if parse_policy_name(policy).kind == "served":
-                told = "is a process of this machine; test other policies, or use --jobs without --cluster"
-                raise ConfigError(f"--cluster: {policy} {told}")
+                message = (
+                    "is a process of this machine; test other policies, or use --jobs without "
+                    "--cluster"
+                )
+                raise ConfigError(f"--cluster: {policy} {message}")
         own = [policy for policy in policies if parse_policy_name(policy).kind == "class"]
-        require_sendable_run(RunConfig(), _all_settings(order), (*own, order.network, order.hook), _users(order))
-    with WorkScheduler(machines.open(order.out), keep, least_late_s=_LEAST_LATE_S) as scheduler:
+        require_sendable_run(
+            RunConfig(), _all_settings(order), (*own, order.network, order.hook), _users(order)
+        )
+    with WorkScheduler(machines.open(order.out), save, least_late_s=_LEAST_LATE_S) as scheduler:
         scheduler.submit(
-            [WorkPiece(key=_work_key(piece), call=_drive_alone, piece=piece, needs=_needs_of) for piece in pieces]
+            [
+                WorkPiece(key=_work_key(piece), call=_drive_alone, piece=piece, needs=_needs_of)
+                for piece in pieces
+            ]
         )
         while waiting:
             for key in sorted(scheduler.wait(waiting, _LOOK_S)):
                 waiting.remove(key)
-                piece, (path, *_) = asked[key]
-                kept[piece.policy, piece.index] = _read_kept(path)
-                done(piece.policy, sum(name == piece.policy for name, _ in kept), blocks)
+                piece, (path, *_) = ordered[key]
+                saved[piece.policy, piece.index] = _read_saved(path)
+                done(piece.policy, sum(name == piece.policy for name, _ in saved), blocks)
             order.look(scheduler.workers_now())
 
 
@@ -203,7 +258,10 @@ def _work_key(piece: Piece) -> str:
 
 
 def _needs_of(piece: Piece) -> tuple[WorkInputFiles, ...]:
-    """What travels with a piece: its town, unless it is a generated scene, and its policy, unless it is a baseline."""
+    """What travels with a piece.
+
+    Its town, unless it is a generated scene, and its policy, unless it is a baseline.
+    """
     towns = (town_to_input_files(piece.town),) if piece.block.scene_sha256 is None else ()
     named = parse_policy_name(piece.policy)
     if named.kind == "baseline":
@@ -215,9 +273,9 @@ def _needs_of(piece: Piece) -> tuple[WorkInputFiles, ...]:
     alone, run = folder_to_input_files(policy, named.place), policy.parent.parent
     if not is_file(run / MANIFEST):
         return (*towns, alone)
-    said = [file for file in (MANIFEST, CONFIG, PLANT) if is_file(run / file)]
+    identity = [file for file in (MANIFEST, CONFIG, PLANT) if is_file(run / file)]
     inner = policy.relative_to(run).as_posix()
-    names = (*said, *(f"{inner}/{file}" for file in alone.names))
+    names = (*identity, *(f"{inner}/{file}" for file in alone.names))
     return (*towns, replace(alone, folder=run, names=names, inner=inner))
 
 
@@ -232,14 +290,21 @@ def _drive_alone(piece: Piece, at: ToLocalPath) -> bytes:
     """Drive one block in this process, wherever that is; its records as JSON."""
     is_baseline = parse_policy_name(piece.policy).kind == "baseline"
     policy = piece.policy if is_baseline else _policy_at(piece.policy, at)
-    records = [record.to_json() for record in drive_piece(replace(piece, town=at(piece.town), policy=policy))]
+    records = [
+        record.to_json()
+        for record in drive_piece(replace(piece, town=at(piece.town), policy=policy))
+    ]
     for record in records:
-        record["reason"] = str(record["reason"]).replace(policy, piece.policy)  # it may name the policy
+        # it may name the policy
+        record["reason"] = str(record["reason"]).replace(policy, piece.policy)
     return json.dumps(records).encode()
 
 
 def drive_piece(piece: Piece, watch: Watch | None = None) -> Records:
-    """Drive one block in this process; a policy that cannot be used there is refused, not an error."""
+    """Drive one block in this process.
+
+    A policy that cannot be used there is refused, not an error.
+    """
     from wcsim.towns.scenario.town import find_town
 
     config = resolve_policy_config(piece.policy, piece.preset, piece.settings, in_list=True)
@@ -249,10 +314,13 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> Records:
         try:
             for name in names:  # the street has the senses, and the longest window, of all
                 config = resolve(
-                    config, list_policy_overrides(config, _open_in(opened, name, config, 0, piece.network))
+                    config,
+                    list_policy_overrides(config, _open_in(opened, name, config, 0, piece.network)),
                 )
             drivers = [
-                _open_in(opened, names[(piece.index + seat) % len(names)], config, seed, piece.network)
+                _open_in(
+                    opened, names[(piece.index + seat) % len(names)], config, seed, piece.network
+                )
                 for seat, seed in enumerate(seeds)
             ]
         except WcsimError as error:
@@ -270,35 +338,65 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> Records:
 
 
 def _policy_digest(name: str, order: SuiteOrder) -> str:
-    """What a policy's result depends on besides the list: its weights or name, the settings, all code and files."""
+    """What a policy's result depends on besides the list.
+
+    Its weights or name, the settings, all code and files.
+    """
     named = _own_files(_all_settings(order), order.network, _users(order))
     hooks = find_user_class_files(order.hook, "step hook") if order.hook else {}
     own = {word: sha256_from_file(path) for word, path in (named | hooks).items()}
     simulators = [read_package_version(name) for name in ("libsumo", "pybullet", "numpy")]
-    said = [order.settings, order.forks, order.network, order.hook, own, hash_package_code(), simulators]
-    said += _identity_of(name, order.preset)
-    said += [_identity_of(other, order.preset) for other in order.together if name in order.together]
-    return sha256_from_text(json.dumps(said))
+    identity = [
+        order.settings,
+        order.forks,
+        order.overrules,
+        order.network,
+        order.hook,
+        own,
+        hash_package_code(),
+        simulators,
+    ]
+    identity += _identity_of(name, order.preset)
+    identity += [
+        _identity_of(other, order.preset) for other in order.together if name in order.together
+    ]
+    return sha256_from_text(json.dumps(identity))
 
 
 def _identity_of(name: str, preset: str) -> list[Any]:
-    """What tells a policy from another one of the same name, as plain data: its weights, its file, what it says."""
+    """What tells a policy from another one of the same name, as plain data.
+
+    Its weights, its file, what it says.
+    """
     named = parse_policy_name(name)
     if named.veto:
         return ["veto", *_identity_of(named.inner, preset)]
     if named.kind == "baseline":
         return ["baseline", name, preset]
     if named.kind == "served":
-        with closing(ServedPolicyClient(name, action_set(resolve(preset).env.actions).points)) as served:
+        with closing(
+            ServedPolicyClient(name, action_set(resolve(preset).env.actions).points)
+        ) as served:
             return ["served", served.version, preset]
     if named.kind == "onnx":
         return ["onnx", preset, _hashes(Path(name))]
     if named.kind == "class":
         # With the files that the class names in `files`, as far as they are there.
         listed = getattr(import_class(name, "policy"), "files", ())
-        words = (word for word in listed if isinstance(word, str)) if isinstance(listed, tuple | list) else ()
-        read = find_user_class_files(name, "policy") | {word: Path(word) for word in words if is_file(Path(word))}
-        return ["class", name, preset, {part: sha256_from_file(path) for part, path in read.items()}]
+        words = (
+            (word for word in listed if isinstance(word, str))
+            if isinstance(listed, tuple | list)
+            else ()
+        )
+        read = find_user_class_files(name, "policy") | {
+            word: Path(word) for word in words if is_file(Path(word))
+        }
+        return [
+            "class",
+            name,
+            preset,
+            {part: sha256_from_file(path) for part, path in read.items()},
+        ]
     law = ["exported law"] if find_spec("torch") is None else []  # see `open_named_policy`
     return [
         "folder",
@@ -310,20 +408,26 @@ def _identity_of(name: str, preset: str) -> list[Any]:
 
 
 def _own_files(settings: Iterable[str], network: str, users: Iterable[str]) -> dict[str, Path]:
-    """The user's own files that settings, a network's name and users lead to, by the word or the file's name.
+    """The user's own files that settings, a network's name and users lead to.
+
+    By the word, or the file's name.
 
     >>> _own_files(("world.action_delay_ticks=2",), "fig6", ("ataxic",))
     {}
     """
     texts = [text for setting in settings for text in texts_from_override(setting)]
-    inner = (word.partition("=")[2].strip("'\"") for text in texts for word in text.split())  # as of collect.variants
+    # as of collect.variants
+    inner = (word.partition("=")[2].strip("'\"") for text in texts for word in text.split())
     paths = {value: Path(value.removeprefix(RECORDED)) for value in (*texts, *inner, *users)}
     found = {value: path for value, path in paths.items() if is_file(path)}
     return {**found, **find_user_class_files(network, "network")} if ":" in network else found
 
 
 def _hashes(folder: Path, pattern: str = "*") -> list[list[str]]:
-    """What a policy consists of; one of values on top of dangers has these in a folder of its own below."""
+    """What a policy consists of.
+
+    One of values on top of dangers has these in a folder of its own below.
+    """
     found = (path for path in sorted(folder.glob(pattern)) if path.is_file())
     return [[path.relative_to(folder).as_posix(), sha256_from_file(path)] for path in found]
 
@@ -331,7 +435,11 @@ def _hashes(folder: Path, pattern: str = "*") -> list[list[str]]:
 def _all_settings(order: SuiteOrder) -> list[str]:
     """What is set in the list, in any of its blocks, and over them."""
     file = order.suite.file
-    return [*file.settings, *(text for block in file.blocks for text in block.settings), *order.settings]
+    return [
+        *file.settings,
+        *(text for block in file.blocks for text in block.settings),
+        *order.settings,
+    ]
 
 
 def _users(order: SuiteOrder) -> list[str]:
@@ -341,17 +449,20 @@ def _users(order: SuiteOrder) -> list[str]:
 
 
 def _judged_blocks(blocks: Sequence[SuiteBlock], episodes: int) -> frozenset[int]:
-    """The blocks whose interventions are judged: evenly spread, as many as hold so many episodes."""
+    """The blocks whose interventions are judged.
+
+    Evenly spread, as many as hold so many episodes.
+    """
     total = sum(len(block.episodes) for block in blocks)
     if episodes >= total:
         return frozenset(range(len(blocks)))
     if episodes <= 0:
         return frozenset()
-    wanted = max(1, round(len(blocks) * episodes / total))
-    return frozenset((number * len(blocks)) // wanted for number in range(wanted))
+    count = max(1, round(len(blocks) * episodes / total))
+    return frozenset((number * len(blocks)) // count for number in range(count))
 
 
-def _read_kept(path: Path) -> Records:
+def _read_saved(path: Path) -> Records:
     """The records of a block that was driven before. Raises ConfigError."""
     data = read_json(path, BLOCK)
     try:
