@@ -1,8 +1,9 @@
 """Intervals of rare events."""
 
+import numpy as np
 import pytest
 
-from wcsim.agents.evaluation.suite.intervals import FEWEST, bootstrapped, mcnemar, wilson
+from wcsim.agents.evaluation.suite.intervals import FEWEST, bootstrapped, is_decided, mcnemar, wilson
 
 
 @pytest.mark.parametrize(
@@ -32,3 +33,20 @@ def test_a_weighted_mean_lies_in_its_interval_which_shrinks_with_more_episodes()
 def test_a_few_episodes_have_no_interval_however_equal_they_are():
     assert [bootstrapped([0.846] * count) for count in (1, FEWEST - 1)] == [None, None]
     assert bootstrapped([0.846] * FEWEST) == pytest.approx((0.846, 0.846))
+
+
+def test_trainings_that_differ_widen_an_interval_and_equal_ones_do_not():
+    same, apart = [[0.2, 0.8] * 20] * 3, [[0.0] * 40, [0.5] * 40, [1.0] * 40]
+    assert bootstrapped(same) == bootstrapped(same[0])
+    low, high = bootstrapped(apart)
+    assert low == 0.0 and high == 1.0
+
+
+def test_who_looks_after_every_pair_is_fooled_in_one_test_of_twenty():
+    rng = np.random.default_rng(1)
+    fooled = 0
+    for coins in rng.random((400, 200)) < 0.5:
+        heads = np.cumsum(coins)
+        fooled += any(is_decided(int(heads[n]), n + 1 - int(heads[n])) for n in range(0, 200, 5))
+    assert 0 < fooled <= 20
+    assert not is_decided(0, 0) and is_decided(0, 9) and is_decided(90, 40)

@@ -13,9 +13,11 @@ from tests.agents.evaluation.suite.test_records import GOOD
 from tests.agents.opening.test_list_rules import run_of
 from tests.cli.conftest import parsed
 from tests.support.one_process import in_this_process
+from wcsim.agents.evaluation.suite import run as suite_run
 from wcsim.agents.evaluation.suite.records import NEEDLESS, Intervention
 from wcsim.agents.evaluation.suite.result_files import result_of
 from wcsim.agents.evaluation.suite.rows import ResultRow
+from wcsim.agents.opening.list_file import open_suite, write_list
 from wcsim.cli import main
 from wcsim.cli.evaluation.result_tables import print_test_result
 
@@ -85,6 +87,22 @@ def test_an_episode_is_driven_again_and_must_be_the_same(small, tmp_path, capsys
     assert "run the test again" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("saves, many", [(True, 10), (False, 25)])
+def test_a_test_stops_as_soon_as_it_is_decided(saves, many, small, tmp_path, monkeypatch, capsys):
+    file = open_suite(str(small)).file
+    write_list(file.model_copy(update={"blocks": file.blocks * 25}), tmp_path / "many.json")
+    crash = replace(GOOD, status="chair_crashed", fault="own")
+
+    def run_suite(order, policies, done, blocks):
+        found = {"follow": crash, "stop": GOOD if saves else crash}
+        return {name: tuple(replace(found[name], block=each) for each in sorted(blocks)) for name in policies}
+
+    monkeypatch.setattr(suite_run, "run_suite", run_suite)
+    words = ("stop", "--suite", tmp_path / "many.json", "--only", "--until-decided", "--out", tmp_path / "out")
+    assert run(*words, "--json", tmp_path / "r.json") == 0
+    assert {row["episodes"] for row in parsed(tmp_path / "r.json")["pooled"]} == {many}
+
+
 def result(records, **changes):
     head = {"suite": "s", "set": "x", "list_sha256": "", "changed": (), "list_name": "x", "preset": "", "network": ""}
     return result_of(records, **{**head, "out": "", **changes})
@@ -121,7 +139,7 @@ def test_the_tables_show_what_was_counted_and_call_the_oracles_upper_bounds():
     text = shown(result({"follow": [record] * 2}), width=80)
     assert max(map(len, text.splitlines())) <= 80
     rows = [line.split()[1:] for line in text.splitlines() if line.split()[:1] == ["follow"]]
-    assert rows == [["2", "of", "2", "33%", "0", "in", "2", "0", "of", "2", "-"]]
+    assert rows == [["2", "of", "2", "33%", "0", "in", "2", "0", "of", "2", "none"]]
     assert "follow, episode 0.1: drop, own fault: it fell off a kerb, edge e" in text and "upper bound" not in text
     both = shown(result({name: [record] for name in ("follow", "oracle-visible", "oracle")}))
     assert "upper bound" in both and "road users in its cameras" in " ".join(both.split())

@@ -37,9 +37,9 @@ def test_it_counts_crashes_and_arrivals_and_says_what_help_costs(result):
 
 
 def test_no_policy_is_best_that_the_intervals_cannot_tell_from_another(result):
-    assert _paired(result, "dwa", "follow", "").separated
+    assert _paired(result, "dwa", ["dwa"], "follow", "").separated
     assert " The highest score is that of dwa. " in verdict(only(result, "follow", "dwa"))
-    apart = [_paired(result, "dwa", name, "").separated for name in result.episodes if name != "dwa"]
+    apart = [_paired(result, "dwa", ["dwa"], name, "").separated for name in result.episodes if name != "dwa"]
     assert not all(apart)
     said = verdict(result)
     assert "highest" not in said and " cannot be told apart here." in said

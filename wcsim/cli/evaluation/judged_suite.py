@@ -30,6 +30,7 @@ from wcsim.cli.shared.consoles import (
 )
 from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.config.suite import MOST_SET, make_suite_name_pattern
+from wcsim.core import seeding
 from wcsim.core.own_folder import create_temporary_folder
 from wcsim.core.reading import escape, is_file, pluralize
 from wcsim.errors import ConfigError, InterruptedRunError
@@ -56,6 +57,8 @@ _LISTED: Final = {
 }
 # A line about the workers of other machines, each with what it drives.
 _WORKERS_EVERY_S: Final = 20.0
+# Blocks, until it is looked at again whether a test is decided.
+_DECIDED_EVERY: Final = 10
 # Of an episode that is played again: its end is filmed, and every so often a row is printed.
 _PLACE: Final = re.compile(r"([0-9]{1,6})\.([0-9]{1,3})")
 _FILMED_S: Final = 10.0
@@ -97,6 +100,8 @@ class SuiteTestOptions(_DriveOptions):
     forks: Annotated[int | None, common.Bounds(0, 1_000_000)] = None
     """Episodes whose interventions are judged: the user drives on alone in a copy.
     (default: as in the list; 0 with --town)"""
+    until_decided: common.Flag = False
+    """Drive blocks in a random order, until crashes tell the first policy from the second or the user alone."""  # noqa: E501
     json: common.OutFile = None
     """Also write the result to this file."""
 
@@ -178,6 +183,8 @@ def run_suite_and_report(order: SuiteOrder, options: SuiteTestOptions, name: str
 
 def run_suite_and_save(order: SuiteOrder, options: SuiteTestOptions, name: str) -> TestResult:
     """The result of a list that `run_suite_and_report` drives; it is written into its folder."""
+    from wcsim.agents.evaluation.suite.intervals import is_decided
+    from wcsim.agents.evaluation.suite.records import saved_and_lost
     from wcsim.agents.evaluation.suite.run import run_suite
 
     if options.together:
@@ -197,13 +204,22 @@ def run_suite_and_save(order: SuiteOrder, options: SuiteTestOptions, name: str) 
             nonlocal done
             done += 1
             bar.show(
-                done / (of * (len(policies) - len(order.together[1:]))),
+                min(1.0, done / (of * (len(policies) - len(order.together[1:])))),
                 f"{policy}: {blocks} of {of} blocks",
             )
             if not bar.console.is_terminal:
                 bar.print_line(f"{policy}: {blocks} of {of} blocks")
 
-        return save_test_result(order, name, run_suite(order, policies, show))
+        blocks = len(order.suite.file.blocks)
+        mixed = seeding.make_rng(0, "decided", order.suite.sha256).permutation(blocks).tolist()
+        pair = (*options.policies, UNAIDED, UNAIDED)[:2]
+        step = _DECIDED_EVERY if options.until_decided else blocks
+        for many in range(step, blocks + step, step):
+            # Blocks of the last turn are read from its folder.
+            records = run_suite(order, policies, show, mixed[:many])
+            if is_decided(*saved_and_lost(*(records[each] for each in pair))):
+                break
+        return save_test_result(order, name, records)
 
 
 def make_suite_order(

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from wcsim.agents.evaluation.suite.rows import LOOK, Column, ResultRow
+from wcsim.agents.evaluation.suite.rows import LOOK, Column, ResultRow, filled_columns
 from wcsim.cli.shared.common import shorten_lines
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -46,14 +46,15 @@ def print_test_result(
     """
     changed = f" CHANGED by {' '.join(result.changed)}" if result.changed else ""
     labels = _row_labels(list(result.episodes), console.width - _NUMBERS_WIDTH)
+    look = filled_columns(LOOK, result.pooled)
     for part, rows in _rows_by_part(result):
-        lines = [[labels[row.policy], *map(_cell, LOOK, repeat(row))] for row in rows]
+        lines = [[labels[row.policy], *map(_cell, look, repeat(row))] for row in rows]
         title = f"{result.suite} {result.set}{changed}: {part}"
-        console.print(_table(title, ["policy", *(column.heading for column in LOOK)], lines))
+        console.print(_table(title, ["policy", *(column.heading for column in look)], lines))
     for name, label in labels.items():
         if label != name:
             console.print(_wrap_path(f"{label}: {name}"))
-    for column in LOOK:
+    for column in look:
         console.print(
             "\n".join(wrap(f"{column.heading}: {column.description}", _LEGEND_WIDTH)), style="dim"
         )
@@ -97,7 +98,8 @@ def _crash_lines(result: TestResult) -> list[str]:
 
 def print_shifts(console: Console, title: str, rows: Sequence[ShiftRow]) -> None:
     """Print what `wcsim test --suite --sensitivity` found, a table for each policy."""
-    headings = ["shift", *(column.heading for column in LOOK), "loss of score", "tau", "left out"]
+    look = filled_columns(LOOK, [each.row for each in rows])
+    headings = ["shift", *(column.heading for column in look), "loss of score", "tau", "left out"]
     for policy in dict.fromkeys(each.row.policy for each in rows):
         lines = []
         for each in rows:
@@ -106,7 +108,7 @@ def print_shifts(console: Console, title: str, rows: Sequence[ShiftRow]) -> None
                 if each.loss_ci is not None:
                     loss = f"{loss}\n{each.loss_ci[0]:+.2f} to {each.loss_ci[1]:+.2f}"
                 tau = "-" if each.tau is None else f"{each.tau:.2f}"
-                cells = map(_cell, LOOK, repeat(each.row))
+                cells = map(_cell, look, repeat(each.row))
                 lines.append([each.shift, *cells, loss, tau, str(each.left_out)])
         console.print(_table(f"{title} and its shifts: {policy}", headings, lines))
     for line in (

@@ -1,12 +1,15 @@
 """What a test decides: policies compared over the same episodes, and the verdict in plain words."""
 
-import math
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any, Final
 
+import numpy as np
+
 from wcsim.agents.evaluation.suite.intervals import FEWEST, Interval, bootstrapped, mcnemar
-from wcsim.agents.evaluation.suite.records import both_counted, saved_and_lost
+from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.view.report.pages import page
@@ -15,6 +18,7 @@ RIVALS: Final = ("follow", "dwa")  # the user alone, and the classical controlle
 _NO_HELP: Final = (UNAIDED, "zero", "random", *UPPER_BOUNDS)  # they assist nobody, or could not be built
 _MOST_LINES, _LINE = 4, 100  # of 80 characters where names are as short as `shipped`
 _MOST_POLICIES, _MOST_ALIKE = 3, 3
+_NUMBER: Final = re.compile(r"-\d+$")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,7 +31,7 @@ class Paired:
     episodes: int
     saved: int  # crashes that the rival has and the policy has not
     lost: int  # and the other way round
-    mcnemar_p: float
+    mcnemar_p: float | None  # None of several trainings, whose episodes are the same
     difference: float | None  # of the scores, the policy's less the rival's; None where none count
     interval: Interval | None  # of the difference, 95 %; None of too few episodes
 
@@ -36,49 +40,50 @@ class Paired:
         """Whether the interval of the difference leaves out 0; never without one."""
         return self.interval is not None and not self.interval[0] <= 0.0 <= self.interval[1]
 
-    @property
-    def enough(self) -> int | None:
-        """About how many such episodes would separate them, were the difference as it is; None where nobody knows."""
-        if not self.difference or self.interval is None:
-            return None
-        half = 0.5 * (self.interval[1] - self.interval[0])
-        return max(self.episodes, math.ceil(self.episodes * (half / abs(self.difference)) ** 2))
-
 
 def compared(result: TestResult) -> tuple[Paired, ...]:
     """Every policy with each rival that was driven, by part, all parts first."""
     rivals = [name for name in RIVALS if name in result.episodes]
+    # Runs that differ by the number at their end are trainings of one kind, and compared as one, too.
+    kinds: dict[str, list[str]] = {name: [name] for name in result.episodes}
+    for name in result.episodes:
+        if _NUMBER.search(name):
+            kinds.setdefault(_NUMBER.sub("-*", name), []).append(name)
     pairs = [
-        (name, rival)
+        (kind, names, rival)
         for place, rival in enumerate(rivals)
-        for name in result.episodes
-        if name not in rivals[: place + 1]
+        for kind, names in kinds.items()
+        if kind not in rivals[: place + 1] and (len(names) > 1 or kind in result.episodes)
     ]
-    found = (_paired(result, name, rival, part) for part in ("", *result.parts) for name, rival in pairs)
+    found = (_paired(result, *pair, part) for part in ("", *result.parts) for pair in pairs)
     return tuple(item for item in found if item is not None)
 
 
-def _paired(result: TestResult, policy: str, rival: str, part: str) -> Paired | None:
-    """Two policies over the episodes of a part that both have; None without any."""
-    theirs = {(e.block, e.seat): e for e in result.episodes[rival]}
-    shared = [e for e in result.episodes[policy] if part in ("", e.part) and (e.block, e.seat) in theirs]
-    both = both_counted(shared, [theirs[e.block, e.seat] for e in shared])
-    if not both:
+def _paired(result: TestResult, kind: str, names: Sequence[str], rival: str, part: str) -> Paired | None:
+    """Trainings of one kind and a rival over the episodes of a part that all have; None without any."""
+    found = [{(e.block, e.seat): e for e in result.episodes[name] if e.counts} for name in (*names, rival)]
+    shared = [key for key, e in found[0].items() if part in ("", e.part) and all(key in each for each in found)]
+    if not shared:
         return None
-    saved, lost = saved_and_lost((mine for mine, _ in both), (other for _, other in both))
-    scores = [(mine.score, other.score) for mine, other in both]
-    changes = [mine - other for mine, other in scores if mine is not None and other is not None]
+    *own, others = ([each[key] for key in shared] for each in found)
+    changes = [_changes(each, others) for each in own]
+    saved, lost = np.sum([saved_and_lost(each, others) for each in own], axis=0).tolist()
     return Paired(
-        policy=policy,
+        policy=kind,
         rival=rival,
         part=part,
-        episodes=len(both),
+        episodes=len(shared),
         saved=saved,
         lost=lost,
-        mcnemar_p=mcnemar(saved, lost),
-        difference=math.fsum(changes) / len(changes) if changes else None,
+        mcnemar_p=mcnemar(saved, lost) if len(names) == 1 else None,
+        difference=float(np.mean(changes)) if changes[0] else None,
         interval=bootstrapped(changes),
     )
+
+
+def _changes(records: Iterable[EpisodeRecord], others: Iterable[EpisodeRecord]) -> list[float]:
+    scores = ((one.score, other.score) for one, other in zip(records, others, strict=True))
+    return [one - other for one, other in scores if one is not None and other is not None]
 
 
 def verdict(result: TestResult) -> str:
@@ -104,7 +109,7 @@ def _told_apart(result: TestResult) -> dict[str, Any]:
     bounded = (row for row in result.pooled if row.policy not in UPPER_BOUNDS)
     scores = {row.policy: row.score for row in bounded if row.score is not None}
     best, *others = sorted(scores, key=lambda name: -scores[name]) or [""]
-    pairs = {name: _paired(result, best, name, "") for name in others}
+    pairs = {name: _paired(result, best, [best], name, "") for name in others}
     return {
         "policies": len(scores),
         "few": all(pair is None or pair.interval is None for pair in pairs.values()),

@@ -5,7 +5,6 @@ It is the one module that draws with matplotlib.
 
 import io
 import re
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +16,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from wcsim.agents.evaluation.suite.records import STATUSES, EpisodeRecord
+from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TOWNS, TestResult
 from wcsim.core.reading import pluralize
 from wcsim.errors import WcsimError
@@ -66,10 +65,8 @@ _GROUND_RGB: Final = {
 }
 _SOLID_RGB: Final = (196, 190, 188)  # houses, walls, trunks
 _OTHER_RGB: Final = (248, 248, 248)
-_ENDINGS: Final = ("arrived", "crashed", "user gave up", "time up", "policy failed", "policy refused", "not reached")
 _NAME: Final = re.compile(r"[\w-]+")
 _LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
-_ENDS: Final = ("#009e73", "#d55e00", "#e69f00", "#56b4e9", "#6a3d9a", "#444444", "#bbbbbb")
 _Ground = tuple[U8, tuple[float, float, float, float]]  # (H, W, 3) from above; west, east, south and north edge
 
 
@@ -127,7 +124,6 @@ def figures_of(result: TestResult, folder: Path) -> list[Exhibit]:
     return [
         *([_help_figure(result, places)] if any(row.judged_episodes for row in result.pooled) else []),
         *_towns(result, places, folder / TOWNS),
-        _statuses(result),
     ]
 
 
@@ -241,28 +237,6 @@ def _draw_ways(axes: Axes, here: Sequence[tuple[str, EpisodeRecord]], places: Ma
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     _legend(axes, len(policies))
-
-
-def _statuses(result: TestResult) -> Exhibit:
-    """Stacked shares, a bar for each policy with the first one on top: how many episodes ended in each way."""
-    counts = [Counter(e.status for e in episodes) for episodes in result.episodes.values()]
-    before, out = np.zeros(len(counts)), io.BytesIO()
-    with _drawn("status", out, 1.3 + 0.24 * len(counts)) as axes:
-        for status, ending, colour in zip(STATUSES, _ENDINGS, _ENDS, strict=True):
-            shares = np.array([found[status] / max(1, found.total()) for found in counts])
-            if shares.any():
-                axes.barh(range(len(counts)), shares, left=before, color=colour, label=ending)
-            before = before + shares
-        axes.set_xlim(0.0, 1.0)
-        axes.set_yticks(range(len(counts)), [_short(each) for each in result.episodes])
-        axes.invert_yaxis()
-        axes.grid(visible=False, axis="y")
-        axes.set_xlabel("share of episodes")
-        _legend(axes, len(STATUSES))
-    rows: list[list[Cell]] = [
-        [name, *(found[status] for status in STATUSES)] for name, found in zip(result.episodes, counts, strict=True)
-    ]
-    return Exhibit(name="status", columns=("policy", *STATUSES), rows=rows, svg=out.getvalue())
 
 
 def curve_chart(name: str, label: str, curves: Sequence[Curve], line: tuple[float, str] | None = None) -> bytes:

@@ -8,7 +8,7 @@ from typing import Final, get_type_hints
 from wcsim.agents.evaluation.suite.intervals import FEWEST
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import COLUMNS, GROUPS, LOOK, Column, ResultRow
+from wcsim.agents.evaluation.suite.rows import COLUMNS, GROUPS, LOOK, Column, ResultRow, filled_columns
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import pluralize
@@ -77,8 +77,7 @@ def write_suite_page(
         title=f"{result.suite} {result.set}: {pluralize(len(result.episodes), 'policy', 'policies')}",
         result=result,
         verdict=verdict(result),
-        look=LOOK,
-        groups=GROUPS,
+        groups={question: filled_columns(columns, result.pooled) for question, columns in GROUPS.items()},
         users=sorted({e.profile for episodes in result.episodes.values() for e in episodes}),
         recorded=RECORDED,
         pairs=pairs,
@@ -140,6 +139,6 @@ def write_demo_page(folder: Path, result: TestResult, **shown: object) -> Path:
         DiskFullError: It cannot be written.
     """
     rows = [replace(row, policy=_CALLED.get(row.policy, f"with {row.policy}")) for row in result.pooled]
-    said = {"result": result, "rows": rows, "verdict": verdict(result), "look": LOOK[:-1]}
+    said = {"result": result, "rows": rows, "verdict": verdict(result), "look": filled_columns(LOOK[:-1], rows)}
     text = page("demo.jinja", title="wcsim demo", **said, **shown)
     return write_page(folder, text, (), DEMO_PAGE)

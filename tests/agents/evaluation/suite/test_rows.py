@@ -36,13 +36,13 @@ def test_what_the_policy_did_not_do_is_in_no_figure():
     more = replace(CRASH, status="not_reached", steps=0)
     alone, found = row([GOOD] * 9), row([*[GOOD] * 9, more], [*[CRASH] * 9, GOOD])
     assert (found["episodes"], found["uncounted"], found["saved"], found["lost"]) == (9, 1, 9, 0)
-    left = {"uncounted", "status", "saved", "lost", "mcnemar_p"}
+    left = {"uncounted", "status", "saved", "lost", "mcnemar_p", "harm"}
     assert {name: found[name] for name in found.keys() - left} == {name: alone[name] for name in alone.keys() - left}
 
 
 def test_crashes_of_any_fault_are_counted_beside_the_own():
     found = row([GOOD, CRASH, replace(CRASH, fault="other")])
-    assert (found["crashes_any"], found["crashes_own"], found["crashes_other"]) == (2, 1, 1)
+    assert (found["crashes_any"], found["crashes_own"]) == (2, 1)
 
 
 def test_nothing_driven_is_no_number():
@@ -64,6 +64,28 @@ def test_the_pace_is_against_the_users_own_where_both_arrived():
     slow = replace(GOOD, time_s=20.0)
     assert row([slow, slow, CRASH, slow], [GOOD, CRASH, GOOD, replace(GOOD, time_s=16.0)])["pace"] == 0.65
     assert row([slow], [CRASH])["pace"] is None
+
+
+NEEDLESS = (Intervention(first=1, last=2, verdict="needless"),)
+LATE = replace(GOOD, status="timed_out")
+
+
+@pytest.mark.parametrize(
+    "own, user, said",
+    [
+        ([GOOD] * 20, [GOOD] * 20, "none"),
+        ([CRASH, *[GOOD] * 19], [GOOD] * 20, "crashes"),
+        ([CRASH, *[GOOD] * 19], [GOOD, CRASH, *[GOOD] * 18], "none"),
+        ([LATE, *[GOOD] * 19], [GOOD] * 20, "none"),
+        ([LATE, LATE, *[GOOD] * 18], [GOOD] * 20, "arrivals"),
+        ([replace(GOOD, time_s=12.6)] * 20, [GOOD] * 20, "pace"),
+        ([replace(GOOD, interventions=NEEDLESS * 2)] * 20, [GOOD] * 20, "meddling"),
+        ([replace(GOOD, part="scenes")] * 20, [GOOD] * 20, None),
+        ([CRASH], [], None),
+    ],
+)
+def test_harm_is_what_is_worse_than_for_the_user_alone(own, user, said):
+    assert row(own, user)["harm"] == said
 
 
 def test_twins_say_who_was_saved_and_who_was_lost():

@@ -203,7 +203,7 @@ class Survival:
             def hold(_: ClientSnapshot, held: Joystick = stick) -> Joystick:
                 return held
 
-            if crash_tick(world, seat, hold, left + on) is None:
+            if _crash_tick(world, seat, hold, left + on) is None:
                 self.records[seat] = replace(
                     self.records[seat], last_moment_s=round(left * self._tick_s, 6)
                 )
@@ -259,13 +259,13 @@ def crash_alone_s(world: World, seat: int, actions: ActionSet, tick_s: float) ->
 
     None within `ALONE_S`.
 
-    Raises PhysicsError as `crash_tick` does.
+    Raises PhysicsError as `_crash_tick` does.
     """
-    tick = crash_tick(world, seat, _users_alone(actions), round(ALONE_S / tick_s))
+    tick = _crash_tick(world, seat, _users_alone(actions), round(ALONE_S / tick_s))
     return None if tick is None else tick * tick_s
 
 
-def crash_tick(world: World, seat: int, driver: Driver, ticks: int) -> int | None:
+def _crash_tick(world: World, seat: int, driver: Driver, ticks: int) -> int | None:
     """The tick, from 1, in which a seat's chair crashes with this driver from now on.
 
     None within so many.

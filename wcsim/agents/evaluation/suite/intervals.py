@@ -3,6 +3,7 @@
 95 % intervals, and a test of pairs.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -35,22 +36,26 @@ def wilson(count: int, of: int) -> Interval | None:
 
 
 def bootstrapped(
-    values: Sequence[float] | F64, weights: Sequence[float] | F64 | None = None
+    values: Sequence[float] | Sequence[Sequence[float]] | F64,
+    weights: Sequence[float] | None = None,
 ) -> Interval | None:
     """The 95 % interval of a weighted mean over episodes, by drawing episodes anew.
 
-    None without any weight, and of fewer than `FEWEST`. The draws are the same for the same numbers
-    of episodes.
+    Of several trainings, (trainings, episodes), these are drawn first: a nested bootstrap.
+    None without any weight, and of fewer episodes than `FEWEST`. The draws are the same for the
+    same numbers of episodes.
     """
-    value = np.asarray(values, np.float64)
-    weight = np.ones(len(value)) if weights is None else np.asarray(weights, np.float64)
-    if len(value) < FEWEST or weight.sum() <= 0.0:
+    value = np.atleast_2d(np.asarray(values, np.float64))
+    trainings, episodes = value.shape
+    weight = np.ones(episodes) if weights is None else np.asarray(weights, np.float64)
+    if episodes < FEWEST or weight.sum() <= 0.0:
         return None
-    drawn = seeding.make_rng(0, "bootstrap", len(value)).integers(
-        0, len(value), (_DRAWS, len(value))
-    )
+    rng = seeding.make_rng(0, "bootstrap", episodes)
+    drawn = rng.integers(0, episodes, (_DRAWS, episodes))
+    chosen = rng.integers(0, trainings, (_DRAWS, trainings, 1))
     total = weight[drawn].sum(1)
-    means = np.where(total > 0.0, (value * weight)[drawn].sum(1) / np.maximum(total, 1e-12), np.nan)
+    sums = (value * weight)[chosen, drawn[:, None]].sum(2).mean(1)
+    means = np.where(total > 0.0, sums / np.maximum(total, 1e-12), np.nan)
     low, high = np.nanpercentile(means, (2.5, 97.5)).tolist()
     return float(low), float(high)
 
@@ -67,3 +72,18 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
     pairs = only_first + only_second
     return float(binomtest(only_first, pairs).pvalue) if pairs else 1.0
+
+
+def is_decided(only_first: int, only_second: int) -> bool:
+    """Whether one-sided pairs show a difference at 95 %, however often one looks at them.
+
+    Their mixture likelihood ratio, by a Beta(0.5, 0.5) prior, must reach 20 (Ville's inequality).
+
+    >>> is_decided(9, 1), is_decided(11, 1)
+    (False, True)
+    """
+    from scipy.special import betaln
+
+    pairs = only_first + only_second
+    log_ratio = betaln(only_first + 0.5, only_second + 0.5) - betaln(0.5, 0.5)
+    return bool(log_ratio + pairs * math.log(2.0) >= math.log(20.0))

@@ -46,16 +46,6 @@ class TestResult:
         """In the order of their first episodes."""
         return list(dict.fromkeys(row.part for row in self.rows))
 
-    def counted(self, policy: str) -> list[EpisodeRecord]:
-        """A policy's episodes that count for each of the policies."""
-        left_out = {
-            (each.block, each.seat)
-            for found in self.episodes.values()
-            for each in found
-            if not each.counts
-        }
-        return [each for each in self.episodes[policy] if (each.block, each.seat) not in left_out]
-
     def to_json(self) -> JsonObject:
         """What `result.json` holds: the whole result as plain values.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.intervals import (
@@ -45,6 +45,10 @@ _ARRIVAL: Final = "Does one get there?"
 _ALARMS: Final = "Does it step in and warn when it should?"
 _QUESTIONS: Final = (_GLANCE, _FAULT, _OBEDIENCE, _ARRIVAL, _ALARMS)
 
+# What a policy may cost where nothing happens: the bar of a list of ways.
+_MOST_LATE: Final = 0.05  # of the drives, in which the user alone arrives and the policy does not
+_SLOWEST: Final = 0.8
+_MOST_UNNEEDED: Final = 1.0  # interventions a drive
 _DIGITS: Final = 6
 _FAR_ENOUGH_KM: Final = 0.05  # below this a rate per kilometre says nothing
 
@@ -93,8 +97,10 @@ class _Drives:
 
     def __init__(self, records: Episodes, unaided: Episodes) -> None:
         self.all = records
-        self.unaided = unaided if len(unaided) == len(records) else ()
-        self.saved_lost = saved_and_lost(records, self.unaided) if self.unaided else None
+        known = len(unaided) == len(records)
+        self.saved_lost = saved_and_lost(records, unaided) if known else None
+        # Where nobody drove alone there are no pairs.
+        self.unaided = unaided if known else [replace(each, status=NOT_REACHED) for each in records]
         self.counted = [each for each in records if each.counts]
         self.crashed = [each for each in self.counted if each.status == CRASHED]
         self.own = sum(each.own for each in self.crashed)
@@ -148,13 +154,30 @@ def _followed_range(d: _Drives) -> Range:
 
 
 def _pace(d: _Drives) -> Measured:
-    pairs = both_counted(d.all, d.unaided) if d.unaided else ()
     shares = [
         user.time_s / own.time_s
-        for own, user in pairs
+        for own, user in both_counted(d.all, d.unaided)
         if own.status == user.status == FINISHED and own.time_s
     ]
     return _share(math.fsum(shares), len(shares))
+
+
+def _harm(d: _Drives) -> str | None:
+    """What is worse than with the user alone, on ways; see `_MOST_LATE`."""
+    pairs = [pair for pair in both_counted(d.all, d.unaided) if pair[0].part in ON_THE_WAY]
+    if not pairs:
+        return None
+    saved, lost = saved_and_lost(*zip(*pairs, strict=True))
+    late = sum((user.status == FINISHED) - (own.status == FINISHED) for own, user in pairs)
+    judged = sum(own.judged for own, _ in pairs)
+    needless = sum(item.verdict == NEEDLESS for own, _ in pairs for item in own.interventions)
+    worse = {
+        "crashes": lost > saved,
+        "arrivals": late > _MOST_LATE * len(pairs),
+        "pace": (_pace(d) or 1.0) < _SLOWEST,
+        "meddling": needless > _MOST_UNNEEDED * judged,
+    }
+    return ", ".join(name for name, is_worse in worse.items() if is_worse) or "none"
 
 
 def _jerkiness(d: _Drives) -> Measured:
@@ -210,9 +233,6 @@ class ResultRow:
         range_form="{:.0%}",
     )
     crashes_own_ci: Range = _figure(lambda d: wilson(d.own, len(d.counted)))
-    crashes_other: int = _figure(
-        lambda d: len(d.crashed) - d.own, _FAULT, "crashes by others: by another's fault"
-    )
     drops: int = _figure(
         lambda d: sum(each.reason == DROP for each in d.crashed),
         _FAULT,
@@ -254,7 +274,7 @@ class ResultRow:
     accel_rms_mps2: Measured = _figure(
         _jerkiness,
         _OBEDIENCE,
-        "jerkiness: root mean square of the acceleration, m/s²",
+        "jerkiness: acceleration, root mean square, m/s²",
         "{:.2f}",
     )
     stick_travel_per_s: Measured = _figure(
@@ -277,6 +297,14 @@ class ResultRow:
     )
     attempts: int = _figure(lambda d: len(d.directed))
     arrived_ci: Range = _figure(lambda d: wilson(d.arrived, len(d.directed)))
+    harm: str | None = _figure(
+        _harm,
+        _GLANCE,
+        "harm: on ways, what is worse than for the user alone: more crashes, 5 % fewer arrivals, a "
+        "pace below 80 %, more than one unneeded intervention a drive",
+        "{}",
+        after="arrived",
+    )
     pace: Measured = _figure(
         _pace,
         _ARRIVAL,
@@ -394,6 +422,11 @@ GROUPS: Final = {
     for question in _QUESTIONS
 }
 LOOK: Final = GROUPS[_GLANCE]  # all that a first look needs
+
+
+def filled_columns(columns: Sequence[Column], rows: Sequence[ResultRow]) -> list[Column]:
+    """Those in which a row has a figure."""
+    return [column for column in columns if any(column.texts(row)[0] for row in rows)]
 
 
 def row_of(policy: str, part: str, records: Episodes, unaided: Episodes) -> ResultRow:

@@ -86,8 +86,10 @@ class SuiteOrder:
     overrules: bool = False  # users take over for 20 s after two needless interventions
 
 
-def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[str, Records]:
-    """Drive all episodes with each policy; records by policy, in the order of the list.
+def run_suite(
+    order: SuiteOrder, policies: Sequence[str], done: Done, blocks: Sequence[int] = ()
+) -> dict[str, Records]:
+    """Drive all episodes, or those of some blocks; records by policy, in the order of the list.
 
     What is kept in `order.out` from before is not driven again. KeyboardInterrupt leaves what is
     done there.
@@ -102,12 +104,13 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     require_block_towns(file)
     towns = town_addresses(order)
     judged = _judged_blocks(file.blocks, order.forks)
+    chosen = sorted(blocks) or range(len(file.blocks))
     saved: dict[tuple[str, int], Records] = {}
     left: list[tuple[Piece, tuple[Path, ...]]] = []
     chairs = {name: order.together if name in order.together else (name,) for name in policies}
     digests = {names[0]: _policy_digest(names[0], order) for names in chairs.values()}
     for policy, digest in digests.items():
-        for index in range(len(file.blocks)):
+        for index in chosen:
             # By what its result depends on: its list, its place in it, and the policy's digest.
             key = sha256_from_text(json.dumps([file.suite, order.suite.sha256, index, digest]))
             path, cached = (
@@ -122,15 +125,15 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
             with suppress(ConfigError):
                 if is_shared and cached.is_file():
                     saved[policy, index] = _read_saved(cached)
-                    done(policy, sum(name == policy for name, _ in saved), len(file.blocks))
+                    done(policy, sum(name == policy for name, _ in saved), len(chosen))
                     continue
             places = (path, cached) if is_shared else (path,)
             left.append((piece_of(order, index, policy, towns, judged=index in judged), places))
-    _drive_all(order, left, saved, done, len(file.blocks))
+    _drive_all(order, left, saved, done, len(chosen))
     return {
         policy: tuple(
             record
-            for index in range(len(file.blocks))
+            for index in chosen
             for record in saved[names[0], index]
             if names[(record.block + record.seat) % len(names)] == policy
         )

@@ -110,7 +110,6 @@ def _rows(
         )
         pairs = [(then.score, now.score) for now, then in both_counted(counted, before)]
         losses = [then - now for then, now in pairs if then is not None and now is not None]
-        ends = bootstrapped(losses)
         row = row_of(policy, "", counted, ())
         scores.append((row_of(policy, "", before, ()).score, row.score))
         rows.append(
@@ -118,8 +117,8 @@ def _rows(
                 shift=shift,
                 row=row,
                 left_out=len(lost),
-                loss=round(float(np.mean(losses)), 6) if losses else None,
-                loss_ci=None if ends is None else (round(ends[0], 6), round(ends[1], 6)),
+                loss=float(np.mean(losses)) if losses else None,
+                loss_ci=bootstrapped(losses),
                 tau=None,
             )
         )
@@ -133,7 +132,7 @@ def _tau(scores: Sequence[tuple[float | None, float | None]]) -> float | None:
     pairs = np.array([pair for pair in scores if None not in pair], np.float64).reshape(-1, 2)
     if not len(pairs) or (np.ptp(pairs, axis=0) == 0.0).any():
         return None
-    return round(float(kendalltau(*pairs.T).statistic), 6)
+    return float(kendalltau(*pairs.T).statistic)
 
 
 def _with_profile(suite: HashedSuite, profile: str) -> HashedSuite:
