@@ -7,6 +7,7 @@ from zlib import crc32
 
 import numpy as np
 
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.agents.policy_api import Observation
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set
@@ -34,3 +35,25 @@ class _Placebo:
 
 
 Placebo1, Placebo2, Placebo3, Placebo4, Placebo5 = (type("Placebo", (_Placebo,), {"number": n}) for n in range(1, 6))
+
+
+class Dwa(_Placebo):
+    """`dwa`, but for one random stick when it takes over."""
+
+    name, senses = "dwa-placebo", ("odometry", "gyro")
+
+    def __init__(self, config: RunConfig) -> None:
+        super().__init__(config)
+        self._rule = make_baseline_policy("dwa", config)
+
+    @property
+    def warning(self) -> bool:
+        return self._rule.warning
+
+    def reset(self) -> None:
+        super().reset()
+        self._rule.reset()
+
+    def act(self, observation: Observation) -> int:
+        first, action = self._first, self._rule.act(observation)
+        return super().act(observation) if first else action

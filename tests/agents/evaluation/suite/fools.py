@@ -2,9 +2,11 @@
 
 import numpy as np
 
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.agents.policy_api import Observation
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.kpi import MAX_FOLLOW_DISTANCE
 from wcsim.types import ClassId
 
 
@@ -71,6 +73,47 @@ class ReversesHome(Follows):
         return 0.0, -0.5
 
 
+class OverridesLittle(Follows):
+    """Gives the position farthest to the left that still counts as what was asked."""
+
+    def act(self, observation: Observation) -> int:
+        x, y = self.stick(observation)
+        near = np.hypot(*(self.points.points - (x, y)).T) <= MAX_FOLLOW_DISTANCE
+        return int(np.argmin(np.where(near, self.points.points[:, 0], 2.0))) if near.any() else super().act(observation)
+
+
+class StandsAtKerbs(Follows):
+    """Stands wherever a carriageway is in the lower half of the picture."""
+
+    def stick(self, seen: Observation) -> tuple[float, float]:
+        return (0.0, 0.0) if _share(seen, (ClassId.ROAD,), low=0.5, middle=False) > 0.02 else super().stick(seen)
+
+
+class WarnsOnly(Follows):
+    """Warns as `dwa` does, and lets its user drive."""
+
+    senses = ("odometry", "gyro")
+
+    def __init__(self, config: RunConfig) -> None:
+        super().__init__(config)
+        self.rule = make_baseline_policy("dwa", config)
+
+    @property
+    def warning(self) -> bool:  # type: ignore[override]
+        return self.rule.warning
+
+    def begin(self) -> None:
+        self.rule.begin()
+
+    def reset(self) -> None:
+        super().reset()
+        self.rule.reset()
+
+    def act(self, observation: Observation) -> int:
+        self.rule.act(observation)
+        return super().act(observation)
+
+
 class WarnsAlways(Follows):
     """Warns for a second every two."""
 
@@ -85,3 +128,9 @@ def _share(seen: Observation, classes: tuple[ClassId, ...], low: float, middle: 
     rows, columns = picture.shape
     part = picture[int(low * rows) :, columns // 3 : 2 * columns // 3] if middle else picture[int(low * rows) :]
     return float(np.isin(part, [int(item) for item in classes]).mean())
+
+
+FOOLS = (
+    *(Stands, NeverCrosses, FreezesBeforeWalkers, Oscillates, ReversesHome),
+    *(OverridesLittle, StandsAtKerbs, WarnsOnly, WarnsAlways),
+)

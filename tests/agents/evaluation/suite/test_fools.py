@@ -1,59 +1,55 @@
-"""Whoever has one fault is caught by the column that is there for it, in real drives through Helsinki."""
+"""Whoever has one fault is caught by a column that is there for it, in real drives of `guard` and `hard`.
+
+The column stands in the first table, or in one that is folded below it.
+"""
 
 from pathlib import Path
 
 import pytest
 
-from wcsim.agents.evaluation.suite.rows import pooled_rows
+from tests.agents.evaluation.suite.fools import FOOLS
+from wcsim.agents.evaluation.suite.rows import row_of
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.opening.list_file import open_suite, suite_from_file
 from wcsim.agents.policy_api import UNAIDED
 
-FOOLS = ("Stands", "NeverCrosses", "FreezesBeforeWalkers", "Oscillates", "ReversesHome", "WarnsAlways")
-BLOCKS = {"free": 2, "crossing": 3, "hazard": 2}  # of each part
+
+def rows_on(name: str, every: int, work: Path) -> dict[str, dict[str, object]]:
+    """Rows of the user alone, the oracle and all fools on every so manieth block of a list."""
+    file = open_suite(name).file
+    few = suite_from_file(file.model_copy(update={"blocks": file.blocks[::every]}))
+    named = {f"{FOOLS[0].__module__}:{fool.__name__}": fool.__name__ for fool in FOOLS}
+    driven = run_suite(SuiteOrder(suite=few, out=work, jobs=2), (UNAIDED, "oracle", *named), lambda *_: None)
+    return {
+        named.get(policy, policy): row_of(policy, "", records, driven[UNAIDED]).to_json()
+        for policy, records in driven.items()
+    }
 
 
 @pytest.mark.proof
-def test_every_fool_is_caught_by_its_column(tmp_path: Path) -> None:
-    file = open_suite("dev").file
-    blocks = [b for part, many in BLOCKS.items() for b in [b for b in file.blocks if b.part == part][:many]]
-    named = {f"{__package__}.fools:{name}": name for name in FOOLS}
-    order = SuiteOrder(suite=suite_from_file(file.model_copy(update={"blocks": tuple(blocks)})), out=tmp_path, jobs=2)
-    driven = run_suite(order, (UNAIDED, "oracle", *named), lambda *_: None)
-    parts, whole = {}, {}
-    for policy, records in driven.items():
-        rows, row = pooled_rows(policy, records, driven[UNAIDED])
-        name = named.get(policy, policy)
-        whole[name], parts[name] = row.to_json(), {item.part: item.to_json() for item in rows}
-    sane, follow = whole["oracle"], whole[UNAIDED]
+def test_on_ways_every_fool_is_caught_by_its_column(tmp_path: Path) -> None:
+    rows = rows_on("guard", 3, tmp_path)
+    assert rows[UNAIDED]["harm"] == rows["oracle"]["harm"] == "none"
+    for name in ("Stands", "NeverCrosses", "StandsAtKerbs", "ReversesHome"):
+        assert "arrivals" in rows[name]["harm"], name
+    for name in ("FreezesBeforeWalkers", "Oscillates", "StandsAtKerbs"):
+        assert "meddling" in rows[name]["harm"], name
+    assert rows["Stands"]["arrived"] == rows["ReversesHome"]["arrived"] == 0
+    assert rows["Oscillates"]["followed"] < 0.5
+    # Each of its steps counts as what was asked.
+    assert rows["OverridesLittle"]["followed"] > 0.95 and rows["OverridesLittle"]["kpi1"] > 0.1
+    assert rows["WarnsAlways"]["false_warnings_per_km"] > 10 * (1.0 + rows["WarnsOnly"]["false_warnings_per_km"])
 
-    # 9 and 3 own crashes in these blocks since wheels fall off kerbs; 10 and 1 before.
-    assert follow["crashes_own"] >= 3 * max(1, sane["crashes_own"])
-    assert follow["missed"] == follow["crashes_own"]
-    alone, seeing = (parts[name]["hazard"]["crashes_any"] for name in (UNAIDED, "oracle"))
-    assert alone > 0.7 * parts[UNAIDED]["hazard"]["episodes"] > seeing
 
-    stands = whole["Stands"]
-    assert stands["arrived"] == 0 and stands["score"] < 0.05
-    assert stands["blocked_share"] > 10 * max(0.01, sane["blocked_share"])  # its user lets go after a while
-    assert stands["freezes"] > 10 * max(1, sane["freezes"])
-
-    shy = parts["NeverCrosses"]["crossing"]
-    assert shy["arrived"] <= 0.3 * parts["oracle"]["crossing"]["arrived"] and shy["freezes"] > 0
-
-    afraid = whole["FreezesBeforeWalkers"]
-    assert afraid["blocked_share"] > 5 * sane["blocked_share"] and afraid["freezes"] > 3 * max(1, sane["freezes"])
-    assert afraid["score"] < sane["score"]
-
-    shaky = whole["Oscillates"]
-    assert shaky["stick_travel_per_s"] > 5 * shaky["asked_travel_per_s"] and shaky["kpi1_free_within"] < 0.5
-    assert shaky["score"] < 0.1 * sane["score"]
-
-    back = whole["ReversesHome"]
-    assert back["arrived"] <= 0.1 * sane["arrived"] and back["score"] < 0.1 and back["kpi1_free_within"] < 0.5
-
-    loud = whole["WarnsAlways"]
-    (heard,) = (records for policy, records in driven.items() if named.get(policy) == "WarnsAlways")
-    assert all(record.warned == record.to_warn for record in heard if record.steps > 0)  # nobody warns before it drives
-    assert loud["warned_share"] > 0.8 and loud["false_warnings_per_km"] > 100
-    assert (sane["warned_share"], loud["crashes_own"]) != (1.0, 0)  # who warns always saves nobody
+@pytest.mark.proof
+def test_in_dangers_no_fool_scores_what_it_does_not_do(tmp_path: Path) -> None:
+    rows = rows_on("hard", 6, tmp_path)
+    alone, sane = rows[UNAIDED], rows["oracle"]
+    assert alone["crashes_any"] > 0.8 * alone["episodes"] > 2 * sane["crashes_any"] and alone["saved"] == 0
+    for name in ("WarnsAlways", "WarnsOnly"):
+        assert rows[name]["saved"] == 0 and rows[name]["score"] == alone["score"], name
+    assert rows["WarnsOnly"]["warned_share"] > 0.3
+    for name in rows.keys() - {UNAIDED, "oracle"}:
+        assert rows[name]["score"] < 0.8 * sane["score"], name
+    # Who stands meets few dangers, and takes every step from its user.
+    assert rows["Stands"]["unneeded"] > 2 * sane["unneeded"]

@@ -192,7 +192,7 @@ class Survival:
             return
         (client,) = (each for each in world.snapshot.clients if each.seat == seat)
         pose = pose_matrix(client.plant.p_WB_m, client.plant.q_WB)
-        places = {actor.whole_id: actor.p_W_m.copy() for actor in world.snapshot.actors}
+        places = {actor.id: actor.p_W_m.copy() for actor in world.snapshot.actors}
         self._past[seat].append(
             (pose, places, [frame.depth_m.copy() for frame in client.sensors.cameras])
         )
@@ -217,9 +217,11 @@ class Survival:
         # What stands was where the chair went.
         ahead_m = _REACH_M if client.plant.v_B_mps[0] > 0.0 else -_REACH_M
         place_m = self._past[seat][-1][0] @ (ahead_m, 0.0, 0.0, 1.0)
+        met = hit.actor_id if hit else ""
         shown = any(
-            _shows(camera, pose, places.get(hit.actor_id if hit else "", place_m), depth_m)
+            _shows(camera, pose, places.get(met, place_m), depth_m)
             for pose, places, depths in self._past[seat]
+            if not met or met in places
             for camera, depth_m in zip(world.config.cameras, depths, strict=False)
         )
         moment = record.steps - round((record.last_moment_s or 0.0) / self._tick_s)

@@ -90,10 +90,12 @@ def make_suite(
     maker = _Maker(
         recipe=recipe, set=named, seed=seed, work=work, jobs=jobs, towns=there, report=report
     )
+    # First what a recipe may name wrongly.
+    scenes = maker.scenes()
     ways = (("free", recipe.free, 0.0), ("crossing", recipe.crossings, 1.0))
     free = [block for place in places for each in ways for block in maker.ways(place, *each)]
     hazards = [block for place in places for block in maker.hazards(place)]
-    blocks = [*maker.scenes(), *hazards]
+    blocks = [*scenes, *hazards]
     for number, block in enumerate(blocks):
         met = {
             "family": [block.town],
