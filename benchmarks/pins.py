@@ -32,7 +32,7 @@ _PINNED: Final = ("rounds/data/data.json", "**/*.safetensors", "exported/*.onnx"
 def main(words: list[str]) -> int:
     """Run all commands in an empty folder; 1 if one fails, or a hash is another one than in the file."""
     file = Path(words[0]).absolute()
-    suite = open_suite("dev").file
+    suite = open_suite("dev2").file
     with create_temporary_folder() as work, chdir(work):
         write_list(suite.model_copy(update={"blocks": suite.blocks[::8]}), Path("list.json"))
         if any(wcsim(command.split()) for command in _COMMANDS):

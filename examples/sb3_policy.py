@@ -1,4 +1,4 @@
-"""A model of Stable-Baselines3 as a policy of wcsim: `wcsim test sb3_policy:Sb3Policy --suite dev --only`."""
+"""A model of Stable-Baselines3 as a policy of wcsim: `wcsim test sb3_policy:Sb3Policy --suite dev2 --only`."""
 
 import numpy as np
 from stable_baselines3 import DQN

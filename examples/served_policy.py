@@ -1,7 +1,7 @@
 """A policy in a process of its own, without wcsim: it follows the stick and slows down if something is near ahead.
 
 python examples/served_policy.py 5800
-wcsim test --suite dev tcp:5800 --only
+wcsim test --suite dev2 tcp:5800 --only
 """
 
 import json

@@ -1,4 +1,4 @@
-"""A controller that sees numbers: `wcsim test state_policy:Trained --suite dev --only`, after `cleanrl_ppo.py`.
+"""A controller that sees numbers: `wcsim test state_policy:Trained --suite dev2 --only`, after `cleanrl_ppo.py`.
 
 The rows are the world's truth (`env.observation=state`), so it is no rival of a network that sees pictures.
 """

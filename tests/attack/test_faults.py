@@ -48,11 +48,11 @@ def test_nothing_waits_by_a_clock_that_may_be_set_back() -> None:
 def test_a_disk_that_is_full_while_a_test_is_written_leaves_the_earlier_result_whole(
     tmp_path: Path, room_kb: int
 ) -> None:
-    order = SuiteOrder(suite=open_suite("dev"), out=tmp_path)
-    save_test_result(order, "dev", {UNAIDED: records_of("dwa"), "mine": records_of("dwa")})
+    order = SuiteOrder(suite=open_suite("dev2"), out=tmp_path)
+    save_test_result(order, "dev2", {UNAIDED: records_of("dwa"), "mine": records_of("dwa")})
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     with files_of_at_most(room_kb << 10), pytest.raises(DiskFullError, match="could not be written"):
-        save_test_result(order, "dev", {UNAIDED: records_of("follow") * 9, "mine": records_of("net@0.25") * 9})
+        save_test_result(order, "dev2", {UNAIDED: records_of("follow") * 9, "mine": records_of("net@0.25") * 9})
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 

@@ -124,13 +124,13 @@ OPTIONS = {
     "join ipc:///x --preset quick": ("learn.head=danger", "preset dqn or paper"),
     "train --cluster nowhere": ("--cluster", "expected"),
     "collect --cluster nowhere": ("--cluster", "expected"),
-    "test --suite dev --cluster nowhere": ("--cluster", "expected"),
+    "test --suite dev2 --cluster nowhere": ("--cluster", "expected"),
     "resume nowhere": ("nowhere is not a run", "wcsim train"),
     "test --set world.tick_s=nan": ("world.tick_s",),
     "test --set env.profile=tremor": ("--set env.profile", "--profile NAME"),
     "test --set env={max_steps=5}": ("--set env.max_steps", "--max-steps N"),
-    "test --suite dev --set env.profile=tremor": ("--set env.profile", "its own user"),
-    "test --suite dev --set env.max_steps=5": ("--set env.max_steps", "its own step limit"),
+    "test --suite dev2 --set env.profile=tremor": ("--set env.profile", "its own user"),
+    "test --suite dev2 --set env.max_steps=5": ("--set env.max_steps", "its own step limit"),
     "test --episodes 0": ("--episodes 0", "1 or more"),
     "test --episodes -3": ("--episodes -3",),
     "test --max-steps 0": ("--max-steps 0",),
@@ -175,7 +175,7 @@ OPTIONS = {
     "log play nofolder": ("nofolder: is not there",),
     "log verify nofolder --epoch -1": ("--epoch -1",),
     "demo --suite nowhere": ("there is no such list", "demo, dev"),
-    "demo --suite dev": ("helsinki is a town of the list dev", "another --train-town"),
+    "demo --suite dev2": ("helsinki is a town of the list dev2", "another --train-town"),
 }
 
 

@@ -233,8 +233,8 @@ def test_a_stick_out_of_its_gate_is_in_it(session: DriveSession) -> None:
     [
         ({"town": "atlantis"}, TownError, "atlantis"),
         ({"profile": "nobody"}, ConfigError, "unknown user profile"),
-        ({"suite": "dev", "block": 71}, ConfigError, "expected 0 to 70"),
-        ({"suite": "dev", "seat": 6}, ConfigError, "expected 0 to 5"),
+        ({"suite": "guard", "block": 71}, ConfigError, "expected 0 to 9"),
+        ({"suite": "guard", "seat": 6}, ConfigError, "expected 0 to 5"),
         ({"suite": "nope"}, ConfigError, "there is no such list"),
     ],
 )
@@ -249,9 +249,9 @@ def test_an_episode_of_a_suite_begins_where_the_list_says() -> None:
     """A generated scene: the car door, with its own user, settings and start."""
     from wcsim.agents.opening.list_file import open_suite
 
-    blocks = open_suite("dev").file.blocks
-    index = next(number for number, block in enumerate(blocks) if block.town == "car-door")
-    with DriveSession(DriveStart(suite="dev", block=index, profile="")) as drive:
+    blocks = open_suite("dev2").file.blocks
+    index = next(number for number, block in enumerate(blocks) if block.town == "car-door-near")
+    with DriveSession(DriveStart(suite="dev2", block=index, profile="")) as drive:
         at = drive.tick(Wish()).p_WB_m
         assert np.abs(at[:2] - blocks[index].episodes[0].start_m).max() < 0.3
         assert drive.place.spec.max_steps == blocks[index].episodes[0].max_steps

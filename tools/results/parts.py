@@ -29,7 +29,6 @@ OF_THE_DRIVING: Final[dict[str, tuple[str, ...]]] = {
     "25-towns": ("collect.made_towns=24",),
     "no-scenes": ("collect.scene_share=0.0",),
 }
-AT_0_MS: Final = "world.action_delay_ticks=0"
 # Half of the updates that the rounds have.
 ALL_AT_ONCE: Final = ("collect.rounds=1", "collect.segments=0", "danger.updates=2500")
 FEWER_ROUNDS: Final = ("collect.rounds=3",)
@@ -75,8 +74,7 @@ def parts(out: Path) -> list[Part]:
     paper = trained(out, "paper-1", 1, "paper", (f"learn.total_steps={PAPER_STEPS}",))
     told = f"preset paper, {PAPER_STEPS:,} steps (as long as preset laptop takes), on suite dev2"
     found.append(Part(name="paper", says=told, steps=(paper, judged(out, ("paper-1",)))))
-    both = judged(out, runs), judged(out, runs, alone=True, settings=(AT_0_MS,))
-    found.append(Part(name="dev2", says="these three networks on suite dev2, with and without delay", steps=both))
+    found.append(Part(name="dev2", says="these three networks on suite dev2", steps=(judged(out, runs),)))
     found += [_small(out, preset) for preset in ("quick", "dqn")]
     return found + list(_ablations(out))
 
@@ -116,16 +114,15 @@ def trained(
     return Step(words=words, again=again, folder=run, makes=run / MANIFEST)
 
 
-def judged(out: Path, runs: tuple[str, ...], alone: bool = False, settings: tuple[str, ...] = ()) -> Step:
+def judged(out: Path, runs: tuple[str, ...], alone: bool = False) -> Step:
     """A test of runs on suite dev2, beside all baselines or beside the user alone; kept blocks are not driven again."""
-    kind = "-".join(("dev2", *(setting.replace("=", "-") for setting in settings)))
-    name = "-".join((kind, *runs))
+    name = "-".join(("dev2", *runs))
     policies = tuple(str(out / run) for run in runs) or BASELINES
-    # One folder a suite and its settings: what it has kept of the baselines serves every test.
-    folder = out / "judged" / kind
+    # One folder a suite: what it has kept of the baselines serves every test.
+    folder = out / "judged" / "dev2"
     table = out / "tables" / f"{name}.json"
     words = ("test", *policies, "--suite", "dev2", "--jobs", "2", "--out", str(folder), *(("--only",) if alone else ()))
-    words = (*words, *_set(settings), "--json", str(table))
+    words = (*words, "--json", str(table))
     return Step(words=words, again=(*words, "--resume"), folder=folder, makes=table)
 
 

@@ -54,7 +54,7 @@ class _Options(_AssistedOptions):
     A policy assists you; on the page you can switch it off, change its level and overrule it. docs/drive.md
 
     With `--suite LIST` you start with an episode of a list, with `--study FILE` you run a study
-    (`wcsim drive --suite dev -h`, `wcsim drive --study assistance -h`).
+    (`wcsim drive --suite dev2 -h`, `wcsim drive --study assistance -h`).
     """  # noqa: E501
 
     town: SomeTown = "helsinki"

@@ -36,7 +36,7 @@ def run_of(folder: Path, preset: str, *settings: str) -> str:
     return str(folder)
 
 
-def listed(name: str = "dev") -> tuple[str, ...]:
+def listed(name: str = "dev2") -> tuple[str, ...]:
     return open_suite(name).file.settings
 
 
@@ -114,7 +114,7 @@ def test_a_block_is_driven_under_them(tmp_path, monkeypatch):
         raise PolicyError("none")
 
     monkeypatch.setattr(driving, "open_named_policy", no_policy)
-    order = driving.SuiteOrder(suite=open_suite("dev"), out=tmp_path)
+    order = driving.SuiteOrder(suite=open_suite("dev2"), out=tmp_path)
     records = driving.drive_piece(driving.piece_of(order, 0, run, {}, judged=False))
     assert {record.status for record in records} == {"refused"}
     assert configs == [resolve_policy_config(run, "quick", listed(), in_list=True)] and configs[0].reward.drop

@@ -5,8 +5,8 @@ import sys
 
 from tests.view.report.results import write_result
 from tools.results.__main__ import code_of, command_of, is_done, main
-from tools.results.parts import AT_0_MS, Part, judged, parts, trained
-from tools.results.tables import delay_text, page, suite_table
+from tools.results.parts import Part, judged, parts, trained
+from tools.results.tables import page, suite_table
 from wcsim.agents.runs.run_folder import create_run_folder, make_run_manifest
 from wcsim.config import RunConfig, resolve
 from wcsim.server.specs import RunInfo
@@ -71,13 +71,3 @@ def test_a_table_has_the_columns_of_the_console(tmp_path):
     lines = suite_table(json.loads((tmp_path / "result.json").read_text("utf-8")), tmp_path).splitlines()
     assert "| part | policy | drives with a crash | did what was asked |" in lines[0]
     assert any(line.startswith("| all | dwa | 0 of 12 (0% to ") for line in lines)
-
-
-def test_what_a_delay_costs_is_said_once_both_lists_are_driven(tmp_path):
-    late, prompt = (judged(tmp_path, ("n-1",), settings=settings) for settings in ((), (AT_0_MS,)))
-    assert late.folder != prompt.folder and "--set" not in late.words and AT_0_MS in prompt.words
-    late.makes.parent.mkdir()
-    for step, score in ((late, 0.6), (prompt, 0.8)):
-        assert delay_text(tmp_path, ["n-1"]) == ""
-        step.makes.write_text(json.dumps({"pooled": [{"policy": str(tmp_path / "n-1"), "score": score}]}))
-    assert "| n-1 | 0.600 | 0.800 | 75 % |" in delay_text(tmp_path, ["n-1"])

@@ -20,7 +20,7 @@ STUDY = {
     "told": ["What it is about."],
     "policy": "dwa",
     "pause_s": 2.0,
-    "places": [{"town": "helsinki", "seed": 3}, {"suite": "dev", "block": 2, "seat": 0}],
+    "places": [{"town": "helsinki", "seed": 3}, {"suite": "guard", "block": 2, "seat": 0}],
     "blocks": [
         {"name": "alone", "title": "Alone", "told": ["Drive."], "assistance": False, "minutes": 1.0},
         {"name": "helped", "title": "Helped", "assistance": True, "level": 1.5, "minutes": 2.0, "arrivals": 3},

@@ -31,14 +31,14 @@ _ODD = (*NASTY, *("/../../../x", "../../../x", "a/../../../../x") * 4)
 def families(work: Path) -> list[Family]:
     """Each file as wcsim writes it, and who reads it: for results, the page too."""
     write_result(work)
-    (work / ASKED).write_text(json.dumps({"suite": "dev", "preset": "quick", "out": "o"}))
+    (work / ASKED).write_text(json.dumps({"suite": "dev2", "preset": "quick", "out": "o"}))
     held = {name: (work / name).read_bytes() for name in (RESULT, EPISODES, ASKED)}
     sha256 = json.loads(held[RESULT])["sha256"]
     for row in range(3):
         append_row(work / "t.csv", COLUMNS, {"study_sha256": "ab" * 6, "participant": str(row), "town": "a, b"})
         append_round_metrics(work / "r.csv", (row, 9 * row, 9, 0.5, row, 5, 1, 4, row, 10 * row, 0.25, 1.5, 0.5))
     table, rounds = ((work / name).read_bytes() for name in ("t.csv", "r.csv"))
-    episodes = open_suite("dev").file
+    episodes = open_suite("guard").file
     write_list(episodes.model_copy(update={"blocks": episodes.blocks[:2]}), work / "l.json")
     listed = (work / "l.json").read_bytes()
     for name in (*held, "t.csv", "r.csv", "l.json"):

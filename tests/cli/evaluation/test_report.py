@@ -81,11 +81,11 @@ def test_a_result_that_cannot_be_driven_as_it_was_has_a_page_without_those_pictu
 
 
 def test_another_list_gives_a_page_without_pictures_and_says_why(wcsim, folder):
-    write_result(folder / "out", set="dev")
+    write_result(folder / "out", set="dev2")
     score_anew(folder / "out")
     result = wcsim("report", "out", "--out", "elsewhere")
-    assert result.code == 0 and "list dev has the hash" in result.err
-    assert "list dev has the hash" in (folder / "elsewhere" / "report.html").read_text()
+    assert result.code == 0 and "list dev2 has the hash" in result.err
+    assert "list dev2 has the hash" in (folder / "elsewhere" / "report.html").read_text()
     assert (folder / "elsewhere" / "report").is_dir() and not (folder / "out" / "report.html").exists()
 
 

@@ -59,9 +59,9 @@ def test_a_line_says_which_rules_of_a_run_stay_behind(small, tmp_path, capsys):
     "words, message",
     [
         (("--suite", "nothing"), "no such list"),
-        (("--suite", "dev", "--jobs", "0"), "--jobs"),
-        (("--suite", "dev", "--sensitivity", "--forks", "3"), "--forks"),
-        (("stop", "--suite", "dev", "--play", "0.0", "--sensitivity"), "--sensitivity"),
+        (("--suite", "dev2", "--jobs", "0"), "--jobs"),
+        (("--suite", "dev2", "--sensitivity", "--forks", "3"), "--forks"),
+        (("stop", "--suite", "dev2", "--play", "0.0", "--sensitivity"), "--sensitivity"),
         (("--suite", "SMALL", "follow", "--play", "7.0"), "from 0 to 0"),
         (("--suite", "SMALL", "--play", "0.0"), "takes one policy"),
         (("--suite", "SMALL", "follow", "--play", "0.9"), "no seat 9"),

@@ -172,9 +172,9 @@ def test_an_obstacle_lights_the_lamps(browser: Any) -> None:
     """A drop beside the chair: driven at it, `dwa` warns, steers otherwise and marks positions, whenever one pushes."""
     from wcsim.agents.opening.list_file import open_suite
 
-    blocks = open_suite("dev").file.blocks
-    index = next(number for number, block in enumerate(blocks) if block.town == "turning-beside-drop")
-    with served(None, "--suite", "dev", "--block", str(index)) as (address, _), patient(browser) as context:
+    blocks = open_suite("dev2").file.blocks
+    index = next(number for number, block in enumerate(blocks) if block.town == "turning-beside-drop-near")
+    with served(None, "--suite", "dev2", "--block", str(index)) as (address, _), patient(browser) as context:
         page = open_page(context, address)
         page.keyboard.down("ArrowUp")
         wait(page, "document.getElementById('lamp-intervening').dataset.on === 'true'")

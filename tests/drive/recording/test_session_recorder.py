@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wcsim.agents.opening.list_file import open_suite
 from wcsim.bridge.ego import ego
 from wcsim.bridge.replay.replayed import _made_scene, verify
 from wcsim.bridge.user_drives import seen_drive, with_shadow
@@ -26,7 +27,7 @@ from wcsim.users.profiles import find_builtin_profile
 from wcsim.users.recordings.recorded_user import find_user
 from wcsim.users.user import User
 
-TIGHT_BLOCK = 25  # of dev: a generated scene
+TIGHT_BLOCK = 16  # of dev2: a generated scene
 WEAVES = [Wish(stick=Joystick(0.4 * math.sin(0.3 * number), 0.9)) for number in range(40)]
 
 
@@ -231,12 +232,12 @@ def test_a_drive_that_never_moved_leaves_no_file(kept: Kept, tmp_path: Path) -> 
 def test_what_cannot_be_made_again_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"the recorded user recorded:a\.csv cannot be part of a recorded drive"):
         check_recordable(DriveStart(profile="recorded:a.csv"))
-    assert check_recordable(DriveStart(suite="dev", block=TIGHT_BLOCK, profile="")).block == TIGHT_BLOCK
+    assert check_recordable(DriveStart(suite="dev2", block=TIGHT_BLOCK, profile="")).block == TIGHT_BLOCK
 
 
 @pytest.mark.parametrize("profile", ["", "competent"])
 def test_a_drive_in_a_generated_scene_is_made_again(tmp_path: Path, profile: str) -> None:
-    drive = Kept(DriveStart(suite="dev", block=TIGHT_BLOCK, profile=profile), tmp_path / "a.drive")
+    drive = Kept(DriveStart(suite="dev2", block=TIGHT_BLOCK, profile=profile), tmp_path / "a.drive")
     assert drive.session.place.scene
     drive.session.assist(False)
     for _ in range(30):
@@ -274,10 +275,12 @@ def test_of_a_person_the_simulated_stretches_are_left_out_of_what_was_wanted(kep
 
 @pytest.mark.proof
 def test_an_episode_of_a_suite_with_a_handover_is_made_again(tmp_path: Path) -> None:
-    drive = Kept(DriveStart(suite="dev", block=17, profile=""), tmp_path / "a.drive")
-    drive.drive(200)
+    blocks = open_suite("dev2").file.blocks
+    index, handover = next((n, b.episodes[0].handover_step) for n, b in enumerate(blocks) if b.part == "streets")
+    drive = Kept(DriveStart(suite="dev2", block=index, profile=""), tmp_path / "a.drive")
+    drive.drive(handover + 12)
     made = drive.again()
     (sat,) = (record for record in made.records if isinstance(record, Admitted))
-    assert made.about.episode == "dev 17.0" and sat.spec.start is not None
+    assert made.about.episode == f"dev2 {index}.0" and sat.spec.start is not None
     drivers = [tick.intent is not None for tick in made.ticks]
-    assert drivers == [number < 188 for number in range(200)], "the user drives until the handover"
+    assert drivers == [number < handover for number in range(handover + 12)], "the user drives until the handover"

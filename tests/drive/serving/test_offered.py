@@ -16,7 +16,7 @@ BEGUN = DriveStart(town="/home/me/own/own.sumocfg", profile="recorded:mine.drive
     [
         BEGUN,
         DriveStart(town="helsinki", profile="tremor", seed=4),
-        DriveStart(town="monaco", profile="", suite="dev", block=2),
+        DriveStart(town="monaco", profile="", suite="guard", block=2),
     ],
 )
 def test_what_is_on_the_page_and_what_the_drive_began_with_may_be_asked_for(asked: DriveStart) -> None:

@@ -67,7 +67,7 @@ def test_a_page_goes_through_a_study_and_nobody_changes_what_it_sets(corner: Pat
         (("--study", "nothing.toml", "--participant", "1"), "there is no such study"),
         (("--study", "assistance", "--participant", "-1"), "expected 1 to 9999"),
         (("--participant", "1"), "--participant"),
-        (("monaco", "--suite", "dev", "--seed", "5"), "--seed"),
+        (("monaco", "--suite", "guard", "--seed", "5"), "--seed"),
     ],
 )
 def test_wrong_words_are_refused_in_a_line(

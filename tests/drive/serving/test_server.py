@@ -184,7 +184,7 @@ def test_a_stick_moves_the_chair_and_silence_stops_it(running: Served) -> None:
 def test_help_level_pause_and_pace_are_obeyed(running: Served) -> None:
     with FakePage(running[0]) as page:
         about = page.until(lambda message: message["say"] == "about")
-        assert len(about["points"]) == 81 and about["levels"] == [0.0, 2.0] and about["suites"]["dev"]
+        assert len(about["points"]) == 81 and about["levels"] == [0.0, 2.0] and about["suites"]["dev2"]
         before = page.state()["kpis"]["helps"]
         page.say("help")
         page.state(lambda state: state["kpis"]["helps"] == before + 1)
@@ -232,8 +232,8 @@ def test_from_an_episode_of_a_suite_back_into_a_town(running: Served, corner: Pa
     """A generated scene has a recorded user, in a file that goes with it."""
     with FakePage(running[0]) as page:
         page.state()
-        page.say("open", suite="dev", block=25, seat=0)
-        told = page.until(lambda message: message["say"] == "about" and message["place"].startswith("dev 25.0"))
+        page.say("open", suite="dev2", block=16, seat=0)
+        told = page.until(lambda message: message["say"] == "about" and message["place"].startswith("dev2 16.0"))
         assert told["profile"].startswith("recorded:")
         page.drive_off()
         page.say("open", town=str(corner), seed=4)

@@ -112,7 +112,7 @@ def test_the_command_says_all_that_was_changed_and_nothing_can_leave_its_word(tm
 def test_the_command_names_the_folder_as_the_test_did(tmp_path):
     write_result(tmp_path / "runs" / "out")
     assert where_typed(read_result(tmp_path / "runs" / "out")) == "that contains the folder of the test"
-    (tmp_path / "runs" / "out" / "asked.json").write_text('{"suite": "dev", "out": "runs/out"}')
+    (tmp_path / "runs" / "out" / "asked.json").write_text('{"suite": "dev2", "out": "runs/out"}')
     result = read_result(tmp_path / "runs" / "out")
     command = worst_of(failures_of(result, tmp_path / "runs" / "out"), SCRIPT).command
-    assert "--suite dev --play 0.0 --out runs/out" in command and where_typed(result) == "in which you ran the test"
+    assert "--suite dev2 --play 0.0 --out runs/out" in command and where_typed(result) == "in which you ran the test"

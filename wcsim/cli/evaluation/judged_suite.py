@@ -113,7 +113,7 @@ class _OfSuite(_DriveOptions):
     set: Annotated[common.Repeated, common.AllowedSettingKeys(_LISTED)] = ()
     """section.key=value, over the settings of the list; the result names it."""
     suite: str = ""
-    """The list: one that comes with wcsim (demo, dev, validation, v1), or a file of --make-suite."""  # noqa: E501
+    """The list: one that comes with wcsim (guard, hard, dev2, validation2, demo, v1), or a file of --make-suite."""  # noqa: E501
 
 
 @dataclass

@@ -63,7 +63,7 @@ class PolicyTestOptions(SuiteTestOptions):
     """Test policies: runs (RUN, RUN:phase1), shipped, your own module:Class, or baselines.
 
     The episodes are drawn for --town. With --suite LIST they come from a fixed list
-    (`wcsim test --suite dev -h`); --make-suite TOWN makes such a list.
+    (`wcsim test --suite dev2 -h`); --make-suite TOWN makes such a list.
     """
 
     set: Annotated[

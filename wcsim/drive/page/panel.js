@@ -112,7 +112,7 @@ export class Panel {
     const towns = about.towns.includes(about.town) ? about.towns : [...about.towns, about.town];
     this.fill("user", same(users), about.profile);
     this.fill("town", same(towns), about.town);
-    if (by("suite").options.length === 0) { this.fill("suite", same(Object.keys(about.suites)), "dev"); this.fillBlocks(); }
+    if (by("suite").options.length === 0) { this.fill("suite", same(Object.keys(about.suites)), "dev2"); this.fillBlocks(); }
     this.levels = about.levels;
     this.tellOwn(about.own_level);
     by("legend-unsafe").hidden = !about.tells_unsafe;

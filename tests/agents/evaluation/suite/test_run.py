@@ -1,6 +1,7 @@
 """A whole list: the same bytes with one process and with two, kept pieces are used, and changes are told."""
 
 import json
+from collections import Counter
 from dataclasses import asdict, replace
 from importlib.metadata import version
 
@@ -8,6 +9,7 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.support.one_process import in_this_process
+from wcsim.agents.evaluation.suite.make import SETTINGS
 from wcsim.agents.evaluation.suite.rows import pooled_rows
 from wcsim.agents.evaluation.suite.run import (
     SuiteOrder,
@@ -20,14 +22,15 @@ from wcsim.agents.evaluation.suite.run import (
 from wcsim.agents.opening.list_file import (
     list_shipped_suites,
     load_suite_towns,
+    open_recipe,
     open_suite,
+    open_suite_to_choose_by,
     require_block_towns,
     suite_from_file,
     write_list,
 )
 from wcsim.core.sources import hash_package_code
 from wcsim.errors import ConfigError, TownError
-from wcsim.towns.scene_folders.families import LISTED, TRAINED
 
 
 def told(records):
@@ -74,9 +77,9 @@ def test_a_kept_result_that_is_none_is_refused_in_a_line(tmp_path, kept):
 
 
 def test_as_many_episodes_are_judged_as_are_asked_for_and_none_for_none():
-    blocks = open_suite("dev").file.blocks
+    blocks = open_suite("guard").file.blocks
     counts = [sum(len(blocks[at].episodes) for at in _judged_blocks(blocks, wanted)) for wanted in (0, 40, 1 << 30)]
-    assert counts[0] == 0 and 20 <= counts[1] <= 60 and counts[2] == open_suite("dev").episodes
+    assert counts[0] == 0 and 20 <= counts[1] <= 60 and counts[2] == open_suite("guard").episodes
 
 
 def test_what_is_kept_is_of_the_files_that_a_list_settings_users_a_class_and_a_network_name(
@@ -152,20 +155,25 @@ def test_a_list_that_is_none_is_refused(tmp_path):
         open_suite(str(tmp_path / "bad.json"))
 
 
-def test_the_lists_that_come_with_wcsim_are_whole():
-    names = [name for name in list_shipped_suites() if name != "demo"]  # see tests/cli/training/test_demo_helps.py
-    for name in names:
-        suite = open_suite(name)
-        assert suite.file.set == name and suite.file.suite == f"street-assist-{'v1' if name == 'v1' else 'v2'}"
-        require_block_towns(suite.file)
-        assert {block.part for block in suite.file.blocks} == {"free", "crossing", "hazard", "tight"}
-        tight = [block for block in suite.file.blocks if block.part == "tight"]
-        families = {block.town for block in tight}
-        assert len(tight) == len({block.seed for block in tight}) * len(families)  # each seed in each family
-        assert name == "v1" or families == set(TRAINED if name == "validation" else LISTED)
-    seeds = [{b.seed for b in open_suite(name).file.blocks if b.part == "tight"} for name in names]
-    assert sum(map(len, seeds)) == len(set().union(*seeds))  # no scene is in two of them
-    assert names == ["dev", "v1", "validation"]
+def test_the_lists_that_come_with_wcsim_are_those_of_their_recipes():
+    names = ("guard", "hard", "dev2", "validation2")
+    assert sorted(list_shipped_suites()) == sorted((*names, "demo", "v1"))
+    files = {name: open_suite(name).file for name in names}
+    for name, file in files.items():
+        recipe = open_recipe(name)
+        assert (file.suite, file.set, file.settings) == (recipe.suite, name, SETTINGS)
+        require_block_towns(file)
+        scenes = Counter(block.town for block in file.blocks if block.scene_sha256)
+        assert scenes == recipe.scenes
+        assert name == "guard" or {len(block.episodes) for block in file.blocks} == {1}
+    drawn = [(block.town, block.seed) for file in files.values() for block in file.blocks if block.scene_sha256]
+    assert len(drawn) == len({*drawn}), "no scene is in two of them"
+    parts = Counter(block.part for block in files["hard"].blocks)
+    assert parts.total() == 100 and parts["held-out"] >= 34
+    for name in ("dev2", "validation2"):
+        open_suite_to_choose_by(name)
+    with pytest.raises(ConfigError, match="held out"):
+        open_suite_to_choose_by("hard")
 
 
 def test_what_is_kept_of_a_folder_without_settings_is_of_one_preset() -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.agents.evaluation.suite.lists import Held, block_of, suite_in
+from tests.agents.evaluation.suite.lists import POINTS, Held, block_of, suite_in
 from tests.agents.evaluation.suite.test_records import GOOD
 from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite import shifts
@@ -102,8 +102,6 @@ class Meddles(Held):
         self.step += 1
         if self.step % 20 < 5:
             return self.action
-        from tests.agents.evaluation.suite.lists import POINTS
-
         return POINTS.nearest(tuple(observation["joystick"]))
 
 

@@ -209,13 +209,15 @@ class _Maker:
     def scenes(self) -> list[SuiteBlock]:
         """Draws of each family as they fall, less crashes that no copy of the world survived."""
         numbers = {family: number for family, number in self.recipe.scenes.items() if number}
+        # So that lists of other towns have other scenes.
+        towns = [town.name for town in self.towns]
         found: dict[str, list[SuiteBlock]] = {family: [] for family in numbers}
         drawn, left_out = Counter[str](), Counter[str]()
         for _ in range(_ROUNDS):
             blocks = []
             for family, number in numbers.items():
                 for _ in range(number - len(found[family])):
-                    seed = seeding.derive_seed(self.seed, "scenes", family, drawn[family])
+                    seed = seeding.derive_seed(self.seed, "scenes", *towns, family, drawn[family])
                     blocks.append(scene_block(family, seed))
                     drawn[family] += 1
             if not blocks:

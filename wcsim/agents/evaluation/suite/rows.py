@@ -329,8 +329,8 @@ class ResultRow:
     score: Measured = _figure(
         lambda d: _share(math.fsum(d.scores), len(d.scores)),
         _GLANCE,
-        "score: 0 after any crash, else the share of steps in no unneeded intervention; where "
-        "nobody judged them, within 0.1768; mean over drives with nowhere to arrive",
+        "score: 0 after any crash, else the share of steps in no unneeded intervention or, where "
+        "nobody judged these, within 0.1768 of the user's stick; mean, without ways",
         "{:.2f}",
     )
     score_ci: Range = _figure(lambda d: bootstrapped(d.scores))

@@ -121,13 +121,12 @@ def run_suite(
                 saved[policy, index] = _read_saved(path)
                 continue
             # The user alone drives beside every policy. Where his rows are damaged he drives again.
-            is_shared = order.shared and policy == UNAIDED
+            places = (path, cached) if order.shared and policy == UNAIDED else (path,)
             with suppress(ConfigError):
-                if is_shared and cached.is_file():
+                if places[-1].is_file():
                     saved[policy, index] = _read_saved(cached)
                     done(policy, sum(name == policy for name, _ in saved), len(chosen))
                     continue
-            places = (path, cached) if is_shared else (path,)
             left.append((piece_of(order, index, policy, towns, judged=index in judged), places))
     _drive_all(order, left, saved, done, len(chosen))
     return {
