@@ -40,8 +40,8 @@ from wcsim.core import files
 from wcsim.towns.scene_folders.families import TRAINED
 
 _COLUMNS = (
-    *("policy", "part", "crashes_own", "km", "crashes_per_km"),
-    *("kpi1_free_within", "speed_mps"),
+    *("policy", "part", "crashes_any", "crashes_own", "km"),
+    *("followed", "speed_mps"),
     *("arrived", "unneeded", "warned_share", "false_warnings_per_km", "score"),
 )
 _LIMITS = """- Simulation only: this says nothing about a real street, and no person has driven with it.
