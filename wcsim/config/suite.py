@@ -89,7 +89,7 @@ class SuiteFile(Model):
     suite: Annotated[str, Field(pattern=make_suite_name_pattern(MOST_NAME))]
     set: Annotated[
         str, Field(pattern=make_suite_name_pattern(MOST_SET))
-    ]  # dev, validation, v1, or a town's
+    ]  # guard, hard, or a file's
     # The only version of wcsim that has its towns; None: any that does. Not part of the identity.
     version: Text | None = None
     settings: Texts  # section.key=value, over the policy's own

@@ -104,7 +104,7 @@ class WorldConfig(Model):
     jam_teleport_s: Annotated[float, within(-1.0, 36000.0)] | None = None
     # Time between decisions of SUMO's drivers, a multiple of tick_s.
     action_step_s: Annotated[float, within(0.02, 10.0)] | None = None
-    # Careless sets attention_share to 0.7 and reaction_s to 1.5; jupedsim has people walk by
+    # Careless sets attention_share to 0.7 at most, reaction_s to 1.5; jupedsim has people walk by
     # JuPedSim.
     street: StreetName = "usual"
     attention_share: Share = 0.95  # Share of road users who look for the chair.

@@ -40,6 +40,8 @@ def test_the_share_of_a_class_is_met_over_a_thousand_and_others_keep_theirs(kind
     assert share(habits, other) == pytest.approx(0.95, abs=0.03)
     careless = AttentionModel(config("world.street=careless"), seed=4)
     assert share(careless, kind) == pytest.approx(STREETS["careless"][0], abs=0.05)
+    blind = AttentionModel(config("world.street=careless", "world.attention_share=0.0"), seed=4)
+    assert share(blind, kind) == 0.0, "where nobody looks nobody looks more often for that"
 
 
 def test_by_default_the_same_ones_look_as_ever():

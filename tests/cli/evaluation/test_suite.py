@@ -62,6 +62,7 @@ def test_a_line_says_which_rules_of_a_run_stay_behind(small, tmp_path, capsys):
         (("--suite", "dev2", "--jobs", "0"), "--jobs"),
         (("--suite", "dev2", "--sensitivity", "--forks", "3"), "--forks"),
         (("stop", "--suite", "dev2", "--play", "0.0", "--sensitivity"), "--sensitivity"),
+        (("--suite", "SMALL", "stop", "dwa", "--together", "--until-decided"), "no --until-decided"),
         (("--suite", "SMALL", "follow", "--play", "7.0"), "from 0 to 0"),
         (("--suite", "SMALL", "--play", "0.0"), "takes one policy"),
         (("--suite", "SMALL", "follow", "--play", "0.9"), "no seat 9"),
@@ -100,7 +101,9 @@ def test_a_test_stops_as_soon_as_it_is_decided(saves, many, small, tmp_path, mon
     monkeypatch.setattr(suite_run, "run_suite", run_suite)
     words = ("stop", "--suite", tmp_path / "many.json", "--only", "--until-decided", "--out", tmp_path / "out")
     assert run(*words, "--json", tmp_path / "r.json") == 0
-    assert {row["episodes"] for row in parsed(tmp_path / "r.json")["pooled"]} == {many}
+    result = parsed(tmp_path / "r.json")
+    assert {row["episodes"] for row in result["pooled"]} == {many}
+    assert result["changed"] == (["--until-decided: 10 of 25 blocks"] if saves else [])
 
 
 def result(records, **changes):

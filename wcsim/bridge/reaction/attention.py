@@ -45,6 +45,8 @@ class AttentionModel:
         """
         self._config, self._seed = config, seed
         share, usual_s = STREETS[config.street] or (config.attention_share, config.reaction_s)
+        # Where nobody looks, a careless street changes nothing.
+        share = min(share, config.attention_share)
         shares = _by_class(config.attention.items(), drawn.attention, share)
         self._attention = {kind: Attention(value, seed) for kind, value in shares.items()}
         self._reaction_s = _by_class(config.reaction.items(), drawn.reaction_s, usual_s)

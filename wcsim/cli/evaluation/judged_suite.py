@@ -189,14 +189,15 @@ def run_suite_and_save(order: SuiteOrder, options: SuiteTestOptions, name: str) 
 
     if options.together:
         order = replace(order, together=tuple(dict.fromkeys(options.policies)))
-        if len(order.together) < 2 or options.cluster:
+        if len(order.together) < 2 or options.cluster or options.until_decided:
             raise ConfigError(
                 f"--together with {pluralize(len(order.together), 'name')}; expected two or more "
-                "policies, and no --cluster"
+                "policies, no --cluster and no --until-decided"
             )
     _require_usable(order, options)
     others = () if options.only or options.together else _OTHERS
     policies = tuple(dict.fromkeys((UNAIDED, *options.policies, *others)))
+    pair = (*dict.fromkeys((*options.policies, UNAIDED)), UNAIDED)[:2]
     done = 0
     with StageBar("testing") as bar, _resumable(order, options):
 
@@ -212,12 +213,16 @@ def run_suite_and_save(order: SuiteOrder, options: SuiteTestOptions, name: str) 
 
         blocks = len(order.suite.file.blocks)
         mixed = seeding.make_rng(0, "decided", order.suite.sha256).permutation(blocks).tolist()
-        pair = (*options.policies, UNAIDED, UNAIDED)[:2]
         step = _DECIDED_EVERY if options.until_decided else blocks
         for many in range(step, blocks + step, step):
             # Blocks of the last turn are read from its folder.
             records = run_suite(order, policies, show, mixed[:many])
-            if is_decided(*saved_and_lost(*(records[each] for each in pair))):
+            if options.until_decided and is_decided(
+                *saved_and_lost(*(records[each] for each in pair))
+            ):
+                # Ranges and p-values of a test that stopped so are too narrow: its result says it.
+                stopped = f"--until-decided: {min(many, blocks)} of {blocks} blocks"
+                order = replace(order, settings=(*order.settings, stopped))
                 break
         return save_test_result(order, name, records)
 

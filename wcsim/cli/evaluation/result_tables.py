@@ -49,8 +49,8 @@ def print_test_result(
     look = filled_columns(LOOK, result.pooled)
     for part, rows in _rows_by_part(result):
         lines = [[labels[row.policy], *map(_cell, look, repeat(row))] for row in rows]
-        title = f"{result.suite} {result.set}{changed}: {part}"
-        console.print(_table(title, ["policy", *(column.heading for column in look)], lines))
+        console.print(f"{result.suite} {result.set}{changed}: {part}", soft_wrap=True)
+        console.print(_table(["policy", *(column.heading for column in look)], lines))
     for name, label in labels.items():
         if label != name:
             console.print(_wrap_path(f"{label}: {name}"))
@@ -110,7 +110,8 @@ def print_shifts(console: Console, title: str, rows: Sequence[ShiftRow]) -> None
                 tau = "-" if each.tau is None else f"{each.tau:.2f}"
                 cells = map(_cell, look, repeat(each.row))
                 lines.append([each.shift, *cells, loss, tau, str(each.left_out)])
-        console.print(_table(f"{title} and its shifts: {policy}", headings, lines))
+        console.print(f"{title} and its shifts: {policy}")
+        console.print(_table(headings, lines))
     for line in (
         "loss of score: against the same drives as listed",
         "tau: Kendall's, of the order of all policies here; 1 is the order as listed",
@@ -125,10 +126,8 @@ def _cell(column: Column, row: ResultRow) -> str:
     return f"{figure or '-'}\n{bounds}".strip()
 
 
-def _table(title: str, headings: Sequence[str], lines: Sequence[Sequence[str]]) -> Table:
-    table = Table(
-        title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False
-    )
+def _table(headings: Sequence[str], lines: Sequence[Sequence[str]]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
     wrapped = [wrap(heading, _HEADING_WIDTH) for heading in headings]
     height = max(map(len, wrapped))
     for number, heading in enumerate(wrapped):

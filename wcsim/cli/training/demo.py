@@ -190,7 +190,7 @@ def _commands(out: Path, suite: str, key: tuple[int, int]) -> tuple[tuple[str, s
         (f"wcsim report {run}/test", "pictures of every crash of these drives"),
         (
             f"wcsim test --suite dev2 {run} --jobs 2",
-            "tests it on 126 drives, in a quarter of an hour",
+            "tests it on 48 dangers",
         ),
         (
             "wcsim train --preset laptop --out runs/laptop",

@@ -80,6 +80,7 @@ LATE = replace(GOOD, status="timed_out")
         ([LATE, LATE, *[GOOD] * 18], [GOOD] * 20, "arrivals"),
         ([replace(GOOD, time_s=12.6)] * 20, [GOOD] * 20, "pace"),
         ([replace(GOOD, interventions=NEEDLESS * 2)] * 20, [GOOD] * 20, "meddling"),
+        ([GOOD, *[replace(GOOD, part="scenes", time_s=20.0)] * 20], [GOOD] * 21, "none"),
         ([replace(GOOD, part="scenes")] * 20, [GOOD] * 20, None),
         ([CRASH], [], None),
     ],

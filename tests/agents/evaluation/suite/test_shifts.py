@@ -6,7 +6,6 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import POINTS, Held, block_of, suite_in
 from tests.agents.evaluation.suite.test_records import GOOD
-from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite import shifts
 from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.records import NEEDLESS, EpisodeRecord, Intervention
@@ -103,13 +102,3 @@ class Meddles(Held):
         if self.step % 20 < 5:
             return self.action
         return POINTS.nearest(tuple(observation["joystick"]))
-
-
-@pytest.mark.proof
-def test_a_shift_is_driven(corner, tmp_path, monkeypatch):
-    few = {name: SHIFTS[name] for name in (AS_LISTED, "person: tremor")}
-    monkeypatch.setattr(shifts, "SHIFTS", few)
-    with in_this_process():
-        listed, shaking = drive_shifts(order_of(corner, tmp_path), ("follow",), print)
-    assert (listed.shift, shaking.shift) == tuple(few)
-    assert shaking.row.asked_travel_per_s > 1.5 * listed.row.asked_travel_per_s

@@ -233,7 +233,7 @@ class _Seat:
         stick = self._driver.observation["joystick"]
         far = self._actions.distance(action, (float(stick[0]), float(stick[1])))
         taken = far > self._config.reward.max_follow_distance + DISTANCE_TOLERANCE
-        warned = isinstance(self.policy, Warns) and self.policy.warning
+        warned = self.is_taken_over and isinstance(self.policy, Warns) and self.policy.warning
         begins = self._alarms.begin(driven, taken, warned)
         if not begins or not (self._piece.judged or self._piece.overrules):
             return

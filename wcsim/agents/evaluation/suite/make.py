@@ -223,7 +223,7 @@ class _Maker:
             if not blocks:
                 break
             for block, record in zip(blocks, self._alone(blocks, "scenes"), strict=True):
-                if record.own and record.last_moment_s is None:
+                if record.status == CRASHED and record.last_moment_s is None:
                     left_out[block.town] += 1
                 else:
                     found[block.town].append(block)

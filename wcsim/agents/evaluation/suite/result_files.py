@@ -67,7 +67,7 @@ class TestResult:
 def result_of(episodes: Mapping[str, Sequence[EpisodeRecord]], **content: Any) -> TestResult:
     """The result of these episodes, by policy.
 
-    `said` is the rest of it, by the names of its fields.
+    `content` is the rest of it, by the names of its fields.
     """
     tables = [
         pooled_rows(name, found, episodes.get(UNAIDED, ())) for name, found in episodes.items()

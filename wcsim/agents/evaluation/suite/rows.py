@@ -46,7 +46,7 @@ _ALARMS: Final = "Does it step in and warn when it should?"
 _QUESTIONS: Final = (_GLANCE, _FAULT, _OBEDIENCE, _ARRIVAL, _ALARMS)
 
 # What a policy may cost where nothing happens: the bar of a list of ways.
-_MOST_LATE: Final = 0.05  # of the drives, in which the user alone arrives and the policy does not
+_MOST_LATE: Final = 0.05  # of the drives: arrivals of the user alone, less the policy's
 _SLOWEST: Final = 0.8
 _MOST_UNNEEDED: Final = 1.0  # interventions a drive
 _DIGITS: Final = 6
@@ -153,10 +153,10 @@ def _followed_range(d: _Drives) -> Range:
     return bootstrapped(shares, [float(each.steps) for each in d.counted])
 
 
-def _pace(d: _Drives) -> Measured:
+def _pace(pairs: Sequence[tuple[EpisodeRecord, EpisodeRecord]]) -> Measured:
     shares = [
         user.time_s / own.time_s
-        for own, user in both_counted(d.all, d.unaided)
+        for own, user in pairs
         if own.status == user.status == FINISHED and own.time_s
     ]
     return _share(math.fsum(shares), len(shares))
@@ -174,7 +174,7 @@ def _harm(d: _Drives) -> str | None:
     worse = {
         "crashes": lost > saved,
         "arrivals": late > _MOST_LATE * len(pairs),
-        "pace": (_pace(d) or 1.0) < _SLOWEST,
+        "pace": (_pace(pairs) or 1.0) < _SLOWEST,
         "meddling": needless > _MOST_UNNEEDED * judged,
     }
     return ", ".join(name for name, is_worse in worse.items() if is_worse) or "none"
@@ -306,7 +306,7 @@ class ResultRow:
         after="arrived",
     )
     pace: Measured = _figure(
-        _pace,
+        lambda d: _pace(both_counted(d.all, d.unaided)),
         _ARRIVAL,
         "pace: the user's own time over that with the policy, where both arrived, mean",
         "{:.0%}",

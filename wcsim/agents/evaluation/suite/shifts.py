@@ -11,12 +11,13 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.agents.evaluation.suite.intervals import Interval, bootstrapped
-from wcsim.agents.evaluation.suite.records import Records, both_counted, undriven
+from wcsim.agents.evaluation.suite.records import CRASHED, Records, both_counted, undriven
 from wcsim.agents.evaluation.suite.rows import ResultRow, row_of
 from wcsim.agents.evaluation.suite.run import Done, SuiteOrder, run_suite
 from wcsim.agents.opening.list_file import HashedSuite, suite_from_file
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.errors import TownError
+from wcsim.types import F64
 
 CLEAN: Final = ("cameras.0.noise=none", "world.action_delay_ticks=0")
 AS_LISTED: Final = "as listed"
@@ -100,39 +101,36 @@ def _rows(
     shift: str, driven: Mapping[str, Records], listed: Mapping[str, Records]
 ) -> list[ShiftRow]:
     """A row for each policy, less the draws in which nobody could have survived."""
-    alone = driven.get(UNAIDED, ())
-    lost = {(e.block, e.seat) for e in alone if e.judged and e.own and e.last_moment_s is None}
+    from scipy.stats import kendalltau
+
+    crashed = [e for e in driven.get(UNAIDED, ()) if e.judged and e.status == CRASHED]
+    lost = {(e.block, e.seat) for e in crashed if e.last_moment_s is None}
     rows = []
-    scores = []
+    scores: list[F64] = []
     for policy, records in driven.items():
         counted, before = (
             [e for e in some if (e.block, e.seat) not in lost] for some in (records, listed[policy])
         )
         pairs = [(then.score, now.score) for now, then in both_counted(counted, before)]
-        losses = [then - now for then, now in pairs if then is not None and now is not None]
-        row = row_of(policy, "", counted, ())
-        scores.append((row_of(policy, "", before, ()).score, row.score))
+        both = [(then, now) for then, now in pairs if then is not None and now is not None]
+        losses = [then - now for then, now in both]
+        if both:
+            scores.append(np.mean(both, axis=0))
         rows.append(
             ShiftRow(
                 shift=shift,
-                row=row,
+                row=row_of(policy, "", counted, ()),
                 left_out=len(lost),
                 loss=float(np.mean(losses)) if losses else None,
                 loss_ci=bootstrapped(losses),
                 tau=None,
             )
         )
-    return [replace(each, tau=_tau(scores)) for each in rows]
-
-
-def _tau(scores: Sequence[tuple[float | None, float | None]]) -> float | None:
-    """Kendall's tau of the orders by the first and by the second; None where there is none."""
-    from scipy.stats import kendalltau
-
-    pairs = np.array([pair for pair in scores if None not in pair], np.float64).reshape(-1, 2)
-    if not len(pairs) or (np.ptp(pairs, axis=0) == 0.0).any():
-        return None
-    return float(kendalltau(*pairs.T).statistic)
+    # The order of the policies as listed, and here, where there is one.
+    tau = None
+    if scores and np.ptp(scores, axis=0).all():
+        tau = float(kendalltau(*np.transpose(scores)).statistic)
+    return [replace(each, tau=tau) for each in rows]
 
 
 def _with_profile(suite: HashedSuite, profile: str) -> HashedSuite:
