@@ -11,13 +11,12 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.agents.evaluation.suite.intervals import Interval, bootstrapped
-from wcsim.agents.evaluation.suite.records import CRASHED, Records, both_counted, undriven
+from wcsim.agents.evaluation.suite.records import CRASHED, Records, undriven
 from wcsim.agents.evaluation.suite.rows import ResultRow, row_of
 from wcsim.agents.evaluation.suite.run import Done, SuiteOrder, run_suite
 from wcsim.agents.opening.list_file import HashedSuite, suite_from_file
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.errors import TownError
-from wcsim.types import F64
 
 CLEAN: Final = ("cameras.0.noise=none", "world.action_delay_ticks=0")
 AS_LISTED: Final = "as listed"
@@ -103,25 +102,28 @@ def _rows(
     """A row for each policy, less the draws in which nobody could have survived."""
     from scipy.stats import kendalltau
 
-    crashed = [e for e in driven.get(UNAIDED, ()) if e.judged and e.status == CRASHED]
-    lost = {(e.block, e.seat) for e in crashed if e.last_moment_s is None}
+    fair = [
+        not e.judged or e.status != CRASHED or e.last_moment_s is not None
+        for e in driven.get(UNAIDED, ())
+    ]
     rows = []
-    scores: list[F64] = []
+    scores = []
     for policy, records in driven.items():
-        counted, before = (
-            [e for e in some if (e.block, e.seat) not in lost] for some in (records, listed[policy])
-        )
-        pairs = [(then.score, now.score) for now, then in both_counted(counted, before)]
-        both = [(then, now) for then, now in pairs if then is not None and now is not None]
-        losses = [then - now for then, now in both]
-        if both:
-            scores.append(np.mean(both, axis=0))
+        drives = zip(records, listed[policy], fair, strict=True)
+        pairs = [(now, then) for now, then, is_fair in drives if is_fair and now.counts]
+        scored = [(then.score, now.score) for now, then in pairs if then.counts]
+        both = np.array(scored, np.float64).reshape(-1, 2)
+        # Ways have no score.
+        both = both[np.isfinite(both).all(1)]
+        losses = -np.diff(both).ravel()
+        if both.size:
+            scores.append(both.mean(0))
         rows.append(
             ShiftRow(
                 shift=shift,
-                row=row_of(policy, "", counted, ()),
-                left_out=len(lost),
-                loss=float(np.mean(losses)) if losses else None,
+                row=row_of(policy, "", [now for now, _ in pairs], ()),
+                left_out=fair.count(False),
+                loss=losses.mean().item() if both.size else None,
                 loss_ci=bootstrapped(losses),
                 tau=None,
             )
@@ -129,7 +131,7 @@ def _rows(
     # The order of the policies as listed, and here, where there is one.
     tau = None
     if scores and np.ptp(scores, axis=0).all():
-        tau = float(kendalltau(*np.transpose(scores)).statistic)
+        tau = kendalltau(*np.transpose(scores)).statistic.item()
     return [replace(each, tau=tau) for each in rows]
 
 
