@@ -51,5 +51,3 @@ def test_in_dangers_no_fool_scores_what_it_does_not_do(tmp_path: Path) -> None:
     assert rows["WarnsOnly"]["warned_share"] > 0.3
     for name in rows.keys() - {UNAIDED, "oracle"}:
         assert rows[name]["score"] < 0.8 * sane["score"], name
-    # Who stands meets few dangers, and takes every step from its user.
-    assert rows["Stands"]["unneeded"] > 2 * sane["unneeded"]
