@@ -221,8 +221,9 @@ def run_suite_and_save(order: SuiteOrder, options: SuiteTestOptions, name: str) 
                 *saved_and_lost(*(records[each] for each in pair))
             ):
                 # Ranges and p-values of a test that stopped so are too narrow: its result says it.
-                stopped = f"--until-decided: {min(many, blocks)} of {blocks} blocks"
-                order = replace(order, settings=(*order.settings, stopped))
+                stopped = f"{order.suite.file.set}, {min(many, blocks)} of {blocks} blocks"
+                file = order.suite.file.model_copy(update={"set": stopped})
+                order = replace(order, suite=replace(order.suite, file=file))
                 break
         return save_test_result(order, name, records)
 

@@ -60,10 +60,8 @@ class ShiftRow:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values: the row's, and its own under the same names."""
-        rows_here = {
-            name: getattr(self, name) for name in ("shift", "left_out", "loss", "loss_ci", "tau")
-        }
-        return self.row.to_json() | rows_here
+        names = ("shift", "left_out", "loss", "loss_ci", "tau")
+        return self.row.to_json() | {name: getattr(self, name) for name in names}
 
 
 def drive_shifts(order: SuiteOrder, policies: Sequence[str], report: Report) -> list[ShiftRow]:
@@ -93,7 +91,7 @@ def drive_shifts(order: SuiteOrder, policies: Sequence[str], report: Report) -> 
                 report(f"{name}: {line}")
         listed = listed or driven
         rows += _rows(name, driven, listed)
-    return sorted(rows, key=lambda each: list(listed).index(each.row.policy))
+    return rows
 
 
 def _rows(
