@@ -62,7 +62,7 @@ def test_the_scripts_about_a_recording_and_a_list_run(tmp_path: Path) -> None:
     recording, cut = code_of(TUTORIALS / "assistive-technology.md")
     run(recording, tmp_path)
     assert read_stick_recording(tmp_path / "stick.csv").time_s[-1] == 19.95
-    assert len(set(run(cut, tmp_path).split())) == 5
+    assert len(set(run(cut, tmp_path).split())) == 4
     assert {block.part for block in open_suite(str(tmp_path / "ten.json")).file.blocks} == {"scenes"}
 
 

@@ -219,7 +219,7 @@ def _footplate_swing(rng: np.random.Generator, near: bool = False) -> Draft:
     wall_y_m = pavement.at(pavement.width_m - rng.uniform(0.2, 0.5))
     start_m = (
         rng.uniform(-20.0, 0.0),
-        wall_y_m + rng.uniform(*((0.34, 0.4) if near else (0.45, 0.62))),
+        wall_y_m + rng.uniform(*((0.35, 0.42) if near else (0.45, 0.62))),
     )
     begin_s, turn_s = rng.uniform(0.4, 1.0), rng.uniform(2.0, 3.0)
     turn = float(rng.choice((0.5, 0.75, 1.0)))
@@ -319,7 +319,7 @@ def _scooter_cuts_in(rng: np.random.Generator, near: bool = False) -> Draft:
     stick = (Push(0.3, 0.0, forward),)
     front_m = float(predict_path(start_m, 90.0, stick, merge_s)[-1, 1]) + FORE_M
     # There the rider's front is when it has cut in.
-    merge_m = front_m + rng.uniform(*((0.0, 0.4) if near else (0.8, 1.5))) + length_m
+    merge_m = front_m + rng.uniform(*((-0.5, 0.0) if near else (0.8, 1.5))) + length_m
     # It brakes for the bend of the junction, and again at its end, to the speed of the path.
     bend_mps = min(speed_mps, _BEND_MPS)
     before_s = (speed_mps - bend_mps) / _DECEL_MPS2
@@ -370,7 +370,7 @@ def _dooring(rng: np.random.Generator, near: bool = False) -> Draft:
     room_m = (
         _STOPS_S * speed_mps
         + 0.5 * speed_mps**2 / _BRAKE_MPS2
-        + rng.uniform(*((0.02, 0.2) if near else (0.05, 0.45)))
+        + rng.uniform(*((0.06, 0.18) if near else (0.05, 0.45)))
     )
     panel_m = float(way[-1, 1] + FORE_M + room_m) + END_M
     car = (

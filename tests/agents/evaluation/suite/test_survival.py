@@ -38,7 +38,8 @@ def test_a_crash_has_a_last_moment_the_same_each_time():
     [
         ("overtaking-rider", 1, "dwa", "unseen"),
         ("turning-beside-drop-near", 21000, "shipped", "late"),
-        ("car-door-near", 22000, "dwa", "in_vain"),
+        ("scooter-cuts-in-near", 2075844307, "dwa", "in_vain"),
+        ("footplate-swing-near", 1645858598, "dwa", "given_back"),
     ],
 )
 def test_a_crash_has_a_cause(family, seed, policy, cause):
