@@ -19,16 +19,15 @@ def driven(result, policy, records):
 
 
 def test_it_counts_crashes_and_arrivals_and_says_what_help_costs(result):
-    said = verdict(only(result, "follow", "dwa"))
+    two = only(result, "follow", "dwa")
+    said = verdict(two)
     assert said.startswith(
         "Of 12 drives, the user crashed in 8 alone and in 0 with dwa; "
         "of 4 with a destination, 1 arrived alone and 4 with dwa. "
     )
     assert said.endswith(" Over all steps dwa did 95 % as requested, with 0 unneeded interventions.")
     needless = Intervention(first=1, last=2, verdict=NEEDLESS)
-    busy = driven(
-        only(result, "follow", "dwa"), "dwa", [record(0, interventions=(needless,)), *map(record, range(1, 12))]
-    )
+    busy = driven(two, "dwa", [record(0, interventions=(needless,)), *map(record, range(1, 12))])
     assert verdict(busy).endswith("with 1 unneeded intervention.")
     some = driven(busy, "dwa", [record(0, interventions=(needless,)), *(record(n, judged=False) for n in range(1, 12))])
     assert verdict(some).endswith("with 1 unneeded intervention in 1 judged drive.")
@@ -38,7 +37,10 @@ def test_it_counts_crashes_and_arrivals_and_says_what_help_costs(result):
 
 def test_no_policy_is_best_that_the_intervals_cannot_tell_from_another(result):
     assert _paired(result, "dwa", ["dwa"], "follow", "").separated
-    assert " The highest score is that of dwa. " in verdict(only(result, "follow", "dwa"))
+    two = only(result, "follow", "dwa")
+    assert " The highest score is that of dwa. " in verdict(two)
+    known = driven(two, "oracle", result.episodes["dwa"])
+    assert " But for the oracles, the highest score is that of dwa. " in verdict(known)
     apart = [_paired(result, "dwa", ["dwa"], name, "").separated for name in result.episodes if name != "dwa"]
     assert not all(apart)
     said = verdict(result)
@@ -46,11 +48,9 @@ def test_no_policy_is_best_that_the_intervals_cannot_tell_from_another(result):
     assert f"The scores of the best {1 + apart.count(False)} of 5 policies" in said
     three = only(result, "dwa", "net@0.25", "net@0.75")
     assert " The scores of dwa, net@0.25 and net@0.75 cannot be told apart here. " in verdict(three)
-    elsewhere = [replace(item, block=item.block + 9) for item in result.episodes["follow"]]
-    strangers = driven(result, "follow", elsewhere)
+    strangers = driven(result, "follow", [replace(item, block=item.block + 9) for item in result.episodes["follow"]])
     assert "the user alone among them" in verdict(strangers), "they share no episode"
-    few = only(result, "follow", "dwa")
-    few = with_episodes(few, {name: found[4:6] for name, found in few.episodes.items()})
+    few = with_episodes(two, {name: found[4:6] for name, found in two.episodes.items()})
     assert "Of 2 drives, " in verdict(few) and "Fewer than 6 drives cannot tell policies apart." in verdict(few)
 
 
@@ -64,8 +64,7 @@ def test_own_policies_come_first_and_it_stays_short(result):
     assert len(wrap(said, 100)) <= 4
     assert "; net@0.25 failed in 1; " in said and SCRIPT not in said
     two = only(result, "follow", "dwa")
-    named = {**two.episodes, "own_policy:Careful": two.episodes["dwa"]}
-    both = verdict(with_episodes(two, named))
+    both = verdict(driven(two, "own_policy:Careful", two.episodes["dwa"]))
     assert " and 4 with dwa. The scores of dwa and own_policy:Careful cannot be told apart here." in both
     assert both.endswith(" did 95 % as requested and dwa 95 %, with 0 and 0 unneeded interventions.")
     far = "runs/" + "x" * 200

@@ -106,12 +106,14 @@ def verdict(result: TestResult) -> str:
 
 def _told_apart(result: TestResult) -> dict[str, Any]:
     """The policies that could be built, compared with the one of the highest score, and those that are like it."""
-    bounded = (row for row in result.pooled if row.policy not in UPPER_BOUNDS)
-    scores = {row.policy: row.score for row in bounded if row.score is not None}
+    scores = {
+        row.policy: row.score for row in result.pooled if row.policy not in UPPER_BOUNDS and row.score is not None
+    }
     best, *others = sorted(scores, key=lambda name: -scores[name]) or [""]
     pairs = {name: _paired(result, best, [best], name, "") for name in others}
     return {
         "policies": len(scores),
+        "oracles": any(row.policy in UPPER_BOUNDS for row in result.pooled),
         "few": all(pair is None or pair.interval is None for pair in pairs.values()),
         # in the order of the tables, which is no ranking
         "alike": [name for name in scores if (pair := pairs.get(name)) is None or not pair.separated],
