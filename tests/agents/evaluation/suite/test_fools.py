@@ -29,16 +29,16 @@ def rows_on(name: str, every: int, work: Path) -> dict[str, dict[str, object]]:
 @pytest.mark.proof
 def test_on_ways_every_fool_is_caught_by_its_column(tmp_path: Path) -> None:
     rows = rows_on("guard", 3, tmp_path)
-    assert rows[UNAIDED]["harm"] == rows["oracle"]["harm"] == "none"
-    for name in ("Stands", "NeverCrosses", "StandsAtKerbs", "ReversesHome"):
+    alone, little = rows[UNAIDED], rows["OverridesLittle"]
+    assert alone["harm"] == "none" and rows["oracle"]["harm"] == "meddling", "even who knows all helps too often"
+    for name in rows.keys() - {UNAIDED, "oracle", "WarnsOnly", "WarnsAlways"}:
         assert "arrivals" in rows[name]["harm"], name
-    for name in ("FreezesBeforeWalkers", "Oscillates", "StandsAtKerbs"):
-        assert "meddling" in rows[name]["harm"], name
-    assert rows["Stands"]["arrived"] == rows["ReversesHome"]["arrived"] == 0
-    assert rows["Oscillates"]["followed"] < 0.5
+    assert "crashes" in rows["Oscillates"]["harm"]
     # Each of its steps counts as what was asked.
-    assert rows["OverridesLittle"]["followed"] > 0.95 and rows["OverridesLittle"]["kpi1"] > 0.1
-    assert rows["WarnsAlways"]["false_warnings_per_km"] > 10 * (1.0 + rows["WarnsOnly"]["false_warnings_per_km"])
+    assert little["followed"] > 0.95 and little["kpi1"] > alone["kpi1"]
+    for name in ("WarnsOnly", "WarnsAlways"):
+        assert rows[name]["crashes_any"] == alone["crashes_any"], name
+    assert rows["WarnsAlways"]["false_warnings_per_km"] > 3 * rows["WarnsOnly"]["false_warnings_per_km"]
 
 
 @pytest.mark.proof
