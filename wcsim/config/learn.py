@@ -59,9 +59,9 @@ class DangerConfig(SeesStreetMap):
     tight_share: Share = 0.5  # Share of a batch from steps with an unsafe action.
     # Steps before danger in which an action already counts as unsafe.
     ahead: Annotated[int, within(0, 20)] = 1
-    # Labels: an oracle limited to what cameras showed, an all-knowing one, or crashes that
-    # happened.
-    teacher: Literal["visible", "truth", "crashes"] = "visible"
+    # Labels: an oracle limited to what cameras showed, an all-knowing one, crashes that happened,
+    # or what Table 2 paid afterwards, but for sticks.
+    teacher: Literal["visible", "truth", "crashes", "returns"] = "visible"
     threshold: PositiveShare = 0.2  # Assistance level. Actions with a higher danger are blocked.
     # Danger that blocks the user's action in one tick. Below it two in a row do. 0: always one.
     at_once: Share = 0.0

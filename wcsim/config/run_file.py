@@ -123,6 +123,13 @@ class DangerNetworkShape(SeesStreetMap):
     actions: Actions
 
 
+class StickValue(FollowRewardConfig):
+    """What a stick is worth: what Table 2 pays for its distance while it is held, less a crash's share."""
+
+    crash: Positive = 100.0  # what a danger of 1 costs
+    steps: Positive = 4.1  # for which the distance is paid: half a second, discounted
+
+
 class DangerRuleSettings(Model):
     """How dangers are answered."""
 
@@ -136,6 +143,8 @@ class DangerRuleSettings(Model):
     at_once: Share = 0.0
     # Warns above this smoothed danger of the user's own stick, see `next_alarm_state`.
     warn: Share = 0.3
+    # Where there is one, the stick of the highest value is taken.
+    value: Annotated[StickValue | None, exclude_if(None)] = None
 
 
 class DangerNetworkSpec(Model):

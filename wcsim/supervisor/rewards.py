@@ -16,6 +16,7 @@ from typing import Final, Literal, Protocol
 import numpy as np
 
 from wcsim.config import RewardConfig
+from wcsim.config.env import FollowRewardConfig
 from wcsim.core.frames import deg2rad
 from wcsim.core.plugins import import_class
 from wcsim.errors import ConfigError
@@ -136,6 +137,14 @@ def describe_crash(reason: str, contacts: Sequence[Contact], config: RewardConfi
     name = re.sub(r"~\d+$", "", hit.actor_id.partition(":")[2])[:_LONGEST_ID]
     other = _STANDING.get(hit.kind, f"{hit.kind} {name}".strip())
     return f"was hit by {other}" if hit.cause == "other" else f"drove into {other}"
+
+
+def reward_of_distance(distance: F64, config: FollowRewardConfig) -> F64:
+    """What Tables 1 and 2 pay for distances of sticks (N,), base and penalty."""
+    low, high = config.max_follow_distance, config.max_distance
+    paid = -config.penalty * np.clip((distance - low) / (high - low), 0.0, 1.0)
+    rewards: F64 = np.where(distance <= low + DISTANCE_TOLERANCE, config.base, paid)
+    return rewards
 
 
 class RewardTerm(Protocol):

@@ -43,7 +43,7 @@ LEAN_LIMIT: Final = math.tan(deg2rad(20.0))
 PITCH_LIMIT: Final = math.tan(deg2rad(30.0))
 BUMP_MPS: Final = 0.7  # a slower wheel is stopped by a kerb
 ASKEW_CM: Final = 8  # a chair that climbs with one side alone gets no higher than this
-DEEPENING_M: Final = 0.03  # a chair that touches may move, if hardly closer
+DEEPENING_M: Final = 0.03  # a chair within a margin may move, if hardly closer
 SAME_M: Final = 1e-6  # a difference that is none
 
 # The ground below the wheels.
@@ -59,6 +59,7 @@ CORNER_M: Final = 0.06  # radius of a disc in each corner of the hull
 BEYOND_M: Final = 0.1  # of the hull's corners, where a rough distance is enough
 # More than two looks at the raster of clearances differ by beyond the way between them.
 RASTER_M: Final = 0.3
+SOLID_MARGIN_M: Final = 0.065
 VEHICLE_MARGIN_M: Final = 0.05
 
 # Columns of the rims (n, 3), which can meet a step up: the place in B, and the step that they take.
@@ -126,8 +127,10 @@ def predict_crash_times(
     start_gap = _solid_gap(
         state[0], state[1], state[2], hull, land.clearance_dm, land.frame_m, BEYOND_M
     )
-    # Never deeper than it is now, nor than DEEPENING_M in all: each step looks again.
-    allowed_gap = min(0.0, start_gap - SAME_M, max(start_gap, 0.0) - DEEPENING_M)
+    # Never nearer than it is now, nor than DEEPENING_M in all: each step looks again.
+    allowed_gap = min(
+        SOLID_MARGIN_M, start_gap - SAME_M, max(start_gap, SOLID_MARGIN_M) - DEEPENING_M
+    )
     places = _wheel_places(state, body.wheels)
     start_cm, hanging, rims = _stance(state, body, places, above_cm, reach_m, land)
     around = _circle(rims)

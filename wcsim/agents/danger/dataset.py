@@ -18,11 +18,12 @@ from wcsim.agents.danger.street_map import (
     sweep,
 )
 from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
-from wcsim.agents.runs.data_folder import ORACLE, DrivingSegment, mask_soon_unsafe_actions, segment_images
-from wcsim.config import RunConfig
+from wcsim.agents.runs.data_folder import BY_EVENTS, ORACLE, DrivingSegment, mask_soon_unsafe_actions, segment_images
+from wcsim.config import RewardConfig, RunConfig
 from wcsim.core.reading import decompress_zstd
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.supervisor.rewards import reward_of_distance
 from wcsim.types import F32, F64, I64, U8
 
 Inputs = tuple[torch.Tensor, ...]
@@ -32,6 +33,10 @@ UNKNOWN: Final = 2  # label of a joystick position that nobody tried
 _SHARED = 0.26  # so near on the joystick positions share a label: they lie 0.25 apart
 _HELD = 0.5  # so near it is the same stick still, in a hand that trembles
 _LEVEL = 1  # of zstd
+_DISCOUNT: Final = 0.9  # a tick
+_HORIZON: Final = 20  # ticks after which a crash says little
+_BAD: Final = 0.35  # a step with a label from here on is tight: a crash within a second
+CRASH_STEPS: Final = 10  # before a crash, in which the stick that was held counts as unsafe
 
 
 def _happened(segment: DrivingSegment, actions: ActionSet, ahead: int, tick_s: float) -> U8:
@@ -63,6 +68,29 @@ def _happened(segment: DrivingSegment, actions: ActionSet, ahead: int, tick_s: f
     return np.where(near[segment.action], label[:, None], np.uint8(UNKNOWN))
 
 
+def _returns(segment: DrivingSegment, actions: ActionSet, reward: RewardConfig) -> F32:
+    """(N, A) what Table 2 took from the moment on in which a stick acted, as a share of a crash; or UNKNOWN.
+
+    It is discounted, and without what is paid for the distance of the sticks, which is known. It is given to the
+    executed position and its neighbours alone.
+    """
+    points, rows = actions.points[segment.action], np.arange(len(segment))
+    distance = np.minimum(np.linalg.norm(points - segment.stick, axis=1), reward.max_distance)
+    rest = segment.reward - reward_of_distance(distance, reward)
+    ends = np.union1d(np.flatnonzero(segment.ended), rows[-1:])
+    end = ends[np.searchsorted(ends, rows)]
+    sums = np.zeros(len(segment) + 1)
+    for row in rows[::-1]:
+        sums[row] = rest[row] + (0.0 if row == end[row] else _DISCOUNT * sums[row + 1])
+    acts = rows + segment.delay
+    # Where an episode was cut, nobody knows the rest.
+    known = (acts <= end) & (segment.crashed[end] | (end - acts >= _HORIZON))
+    share = np.clip(-sums[np.minimum(acts, end)] / reward.crash, 0.0, 1.0)
+    label = np.where(known, share, UNKNOWN).astype(np.float32)
+    near = np.linalg.norm(actions.points[:, None] - actions.points, axis=2) <= _SHARED
+    return np.where(near[segment.action], label[:, None], np.float32(UNKNOWN))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Batch:
     """What a step of learning gets."""
@@ -85,7 +113,7 @@ class Dataset:
         self._pictures: list[bytes] = []  # of each step: zstd, (PLANES, SIDE, SIDE) uint8
         self._vectors: list[F32] = []  # (VECTOR,)
         self._starts: list[F32] = []  # (6,)
-        self._unsafe: list[U8] = []  # (A,) 1, 0, or UNKNOWN
+        self._unsafe: list[U8 | F32] = []  # (A,) 1, 0, between them, or UNKNOWN
         self._tight = np.zeros(0, np.int64)  # steps in which something is unsafe
         self._told = np.zeros(0, np.int64)  # steps of which something is known
 
@@ -114,6 +142,8 @@ class Dataset:
                     JOYSTICK_KEY: segment.wish[row],
                 }
             )
+            if self._config.danger.teacher not in BY_EVENTS:
+                unsafe[row] |= extractor.backs_blindly(features)
             extractor.command(int(segment.action[row]))
             # Packed at once: the pictures of a whole segment would take a hundred times the memory.
             self._pictures.append(_packed(features.picture))
@@ -121,22 +151,30 @@ class Dataset:
             self._starts.append(features.start)
             begins = bool(segment.ended[row])
         self._unsafe += list(unsafe)
-        self._tight = np.concatenate([self._tight, first + np.flatnonzero((unsafe == 1).any(axis=1))])
+        bad = (unsafe >= _BAD) & (unsafe < UNKNOWN)
+        self._tight = np.concatenate([self._tight, first + np.flatnonzero(bad.any(axis=1))])
         self._told = np.concatenate([self._told, first + np.flatnonzero((unsafe < UNKNOWN).any(axis=1))])
 
-    def _labels(self, segment: DrivingSegment) -> U8:
+    def _labels(self, segment: DrivingSegment) -> U8 | F32:
         """(N, A) of its steps, by the teacher that was asked for."""
         danger, actions, labels = self._config.danger, len(self._actions), segment.truth.shape[1]
-        if danger.teacher == "crashes":
+        if danger.teacher in BY_EVENTS:
             if (segment.driver == ORACLE).any() or segment.action.max() >= actions:
                 told = f"a segment was driven by the oracle, or with actions beyond {actions}"
-                raise PolicyError(f"{told}; danger.teacher=crashes expected users and networks: collect it again")
+                raise PolicyError(
+                    f"{told}; danger.teacher={danger.teacher} expected users and networks: collect it again"
+                )
+            if danger.teacher == "returns":
+                return _returns(segment, self._actions, self._config.reward)
             return _happened(segment, self._actions, danger.ahead, self._config.world.tick_s)
         if labels != actions:
             told = f"a segment has labels for {labels} actions; expected {actions}"
             raise PolicyError(f"{told}: collect it again, with an oracle as danger.teacher")
         codes = segment.truth if danger.teacher == "truth" else segment.visible
-        return mask_soon_unsafe_actions(codes, segment.ended, danger.ahead).astype(np.uint8)
+        unsafe = mask_soon_unsafe_actions(codes, segment.ended, danger.ahead).astype(np.uint8)
+        # What happened overrules the oracle.
+        happened = _happened(segment, self._actions, CRASH_STEPS, self._config.world.tick_s)
+        return np.maximum(unsafe, happened == 1)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw with this generator from now on."""

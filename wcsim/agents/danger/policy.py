@@ -24,11 +24,13 @@ from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRuleSettings
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.supervisor.rewards import reward_of_distance
 from wcsim.types import F64, Bool
 
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
 LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with the first it assists least
 RECENT_TICKS: Final = 5  # for so long after it was taken away, the user's own is again as soon as it is unsafe
+USUAL_THRESHOLD: Final = 0.2
 GIVES_BACK: Final = 0.5  # of the threshold: what was taken away is given back only where there is room
 
 
@@ -91,6 +93,11 @@ def _choose(
         cost[last] -= rule.hysteresis
     allowed = _within(danger, rule, last, taken)
     own = int(np.argmin(distance))
+    if rule.value is not None:
+        paid = rule.value.steps * reward_of_distance(distance, rule.value)
+        # A lower threshold makes crashes dearer.
+        value = paid - rule.value.crash * danger * (USUAL_THRESHOLD / rule.threshold)
+        return int(np.argmax(value - 1e-3 * distance))
     if allowed[own] or (not recent and danger[own] < rule.at_once):
         return own
     if allowed.any():

@@ -44,7 +44,9 @@ HOLD_S: Final = 0.5
 STEP_S: Final = 0.1
 # places of the chair that are looked at in each slice of time, and slices
 SLICES: Final = 3
-EACH_SLICE: Final = 4  # steps of a slice
+EACH_SLICE: Final = 7  # steps of a slice: a chair at its top speed stands after all of them
+KNOWN_M: Final = 0.25  # around a chair the ground counts as seen
+POINTS_M: Final = 0.2  # between places of the hull's edge, at most
 COMMANDS: Final = 3  # last ones that are an input
 TILT: Final = slice(3, 5)  # roll and pitch in the IMU vector
 TURNS: Final = slice(5, 8)  # turn rates there
@@ -134,9 +136,10 @@ def _height_code(height_m: float) -> int:
 def hull_and_wheels(box: F64, wheels_m: F64) -> F64:
     """(n, 3) points of the chair in B that sweep over the ground; the last column is 1 for a wheel, else 0."""
     rear, front, half = box.tolist()
-    middle = 0.5 * (rear + front)
-    hull = [(x, y) for x in (rear, middle, front) for y in (-half, 0.0, half)]
-    rows = [(x, y, 0.0) for x, y in hull] + [(x, y, 1.0) for x, y in wheels_m.tolist()]
+    along = np.linspace(rear, front, 1 + math.ceil((front - rear) / POINTS_M))
+    across = np.linspace(-half, half, 1 + math.ceil(2.0 * half / POINTS_M))
+    rows = [(x, y, 0.0) for x in along for y in across if x in (rear, front) or abs(y) == half]
+    rows += [(x, y, 1.0) for x, y in wheels_m.tolist()]
     return np.array(rows, np.float64)
 
 
@@ -171,6 +174,35 @@ def sweep(starts: F64, commands: F64, limits: F64, chair: F64, out: I32) -> None
                     which = i // EACH_SLICE + (SLICES if chair[p, 2] > 0.0 else 0)
                     out[b, k, place] = which * plane + row * SIDE + column
                     place += 1
+
+
+@compile_exact_kernel
+def _backs_blindly(age: U8, start: F64, commands: F64, limits: F64, box: F64, out: Bool) -> None:
+    """Write which commands (K,) bring the chair's rear, backwards, onto ground that no camera saw.
+
+    What is near its place at the start counts as known.
+    """
+    rest, now = np.zeros(2), np.empty(6)
+    for k in range(len(commands)):
+        out[k] = False
+        if commands[k, 1] >= 0.0:
+            continue
+        now[:] = start
+        for i in range(SLICES * EACH_SLICE):
+            held = i * STEP_S < HOLD_S - 1e-9
+            integrate_chair_state(now, commands[k] if held else rest, limits, STEP_S)
+            if now[3] >= 0.0:
+                continue
+            cos, sin = math.cos(now[2]), math.sin(now[2])
+            for side in (-1.0, 0.0, 1.0):
+                x = now[0] + cos * box[0] - sin * side * box[2]
+                y = now[1] + sin * box[0] + cos * side * box[2]
+                if box[0] - KNOWN_M < x < box[1] and abs(y) < box[2] + KNOWN_M:
+                    continue
+                row = SIDE - 1 - math.floor((x + BEHIND_M) / CELL_M)
+                column = math.floor((HALF_M - y) / CELL_M)
+                if not (0 <= row < SIDE and 0 <= column < SIDE) or age[row, column] == 0:
+                    out[k] = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -246,6 +278,13 @@ class FeatureExtractor:
                 view.depth_m, view.classes(observation), view.rays, view.eye_B_m, view.far_m, self.around.ego.pose_O,
                 self._tick, self._kinds, self._movers, self._cells, self._heights_m,
             )  # fmt: skip
+
+    def backs_blindly(self, features: Features) -> Bool:
+        """(A,) the actions that back the chair up onto ground that no camera saw of late."""
+        around, (_, _, start) = self.around, features.batch()
+        out = np.empty(len(around.commands), np.bool_)
+        _backs_blindly(features.picture[AGE], start[0], around.commands, around.limits, around.box_B_m, out)
+        return out
 
     def command(self, action: int) -> None:
         """Say which action is sent now."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
 from wcsim.agents.policy_api import Policy
+from wcsim.agents.runs.data_folder import BY_EVENTS
 from wcsim.agents.runs.policy_file import (
     read_danger_policy_file,
     read_policy_algorithm,
@@ -241,9 +242,9 @@ class _DangerRounds(Learner):
         collect = config.collect
         drivers = "simulated users and an oracle, which sees everything, drive"
         source = "the oracle's labels, not rewards"
-        if config.danger.teacher == "crashes":
+        if config.danger.teacher in BY_EVENTS:
             drivers = "simulated users and the network drive"
-            source = "crashes that happened, without an oracle"
+            source = f"{config.danger.teacher}, without an oracle"
         return (
             f"{pluralize(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks "
             f"with {collect.chairs} "

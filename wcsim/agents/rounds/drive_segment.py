@@ -31,6 +31,7 @@ from wcsim.agents.policy_api import (
     sense_settings,
 )
 from wcsim.agents.runs.data_folder import (
+    BY_EVENTS,
     COLUMNS,
     FOLLOW,
     NETWORK,
@@ -130,8 +131,8 @@ def require_recordable(config: RunConfig) -> None:
 
 def _require_drivable(config: RunConfig) -> None:
     action_set(config.env.actions)  # labels are of its positions: any stick has none
-    if config.danger.teacher == "crashes" and config.collect.follow_share < 1.0:
-        told = f"danger.teacher=crashes, but collect.follow_share={config.collect.follow_share:g} lets the oracle drive"
+    if config.danger.teacher in BY_EVENTS and config.collect.follow_share < 1.0:
+        told = f"danger.teacher={config.danger.teacher}, but collect.follow_share={config.collect.follow_share:g} lets the oracle drive"
         raise ConfigError(f"{told}; expected 1: users, and then the network, drive alone")
 
 
@@ -319,7 +320,7 @@ def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> DrivingSeg
 
 def _driven(place: _SegmentPlace, make_learned: MakeLearned | None, seed: int) -> DrivingSegment:
     """Drive for so many ticks, with a new episode wherever one ends."""
-    asked = place.config.danger.teacher != "crashes"  # the oracle costs time, and what happens needs none
+    asked = place.config.danger.teacher not in BY_EVENTS  # the oracle costs time, and what happens needs none
     specs = tuple(replace(spec, truth=asked, truth_visible=asked) for spec in place.seats)
     with World(place.town, place.config, specs, place.seed, find_user=find_user) as world:
         # Starts off the way have draws of their own, so that a share of them shifts nobody else's.

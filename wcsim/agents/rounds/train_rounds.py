@@ -58,7 +58,8 @@ from wcsim.agents.runs.run_folder import (
 )
 from wcsim.agents.runs.weights import hash_network_weights
 from wcsim.config import RunConfig, parse
-from wcsim.config.run_file import DangerRuleSettings, DangerTrainingCheckpoint, LearnedDataFile
+from wcsim.config.env import FollowRewardConfig
+from wcsim.config.run_file import DangerRuleSettings, DangerTrainingCheckpoint, LearnedDataFile, StickValue
 from wcsim.core import files, reading, seeding
 from wcsim.core.reading import JsonObject, escape, is_file, read_json
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
@@ -254,7 +255,13 @@ def _orders(folder: RunFolder, towns: tuple[str, ...], number: int) -> list[Segm
 
 def _save(folder: RunFolder, learner: DangerLearner, stage: str) -> None:
     danger = folder.config.danger
-    rule = DangerRuleSettings(threshold=danger.threshold, at_once=danger.at_once, warn=danger.warn)
+    follow = folder.config.reward.model_dump(include=set(FollowRewardConfig.model_fields) | {"crash"})
+    rule = DangerRuleSettings(
+        threshold=danger.threshold,
+        at_once=danger.at_once,
+        warn=danger.warn,
+        value=StickValue(**follow) if danger.teacher == "returns" else None,
+    )
     save_danger(folder.policy(stage), learner.net, rule, folder.config, folder.manifest_sha256())
 
 

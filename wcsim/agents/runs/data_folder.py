@@ -38,6 +38,8 @@ DRIVERS: Final = ("follow", "oracle", "network", "reckless")
 SAFE: Final = 255
 STEP_S: Final = 0.05
 
+BY_EVENTS: Final = ("crashes", "returns")  # teachers that need no oracle
+
 MANIFEST: Final = "data.json"
 # The data folder of a run.
 DATA: Final = "data"
