@@ -124,7 +124,7 @@ class DangerNetworkShape(SeesStreetMap):
 
 
 class StickValue(FollowRewardConfig):
-    """What a stick is worth: what Table 2 pays for its distance while it is held, less a crash's share."""
+    """What a stick is worth: what Table 2 pays for its distance, less the share of a crash."""
 
     crash: Positive = 100.0  # what a danger of 1 costs
     steps: Positive = 4.1  # for which the distance is paid: half a second, discounted

@@ -128,9 +128,8 @@ def predict_crash_times(
         state[0], state[1], state[2], hull, land.clearance_dm, land.frame_m, BEYOND_M
     )
     # Never nearer than it is now, nor than DEEPENING_M in all: each step looks again.
-    allowed_gap = min(
-        SOLID_MARGIN_M, start_gap - SAME_M, max(start_gap, SOLID_MARGIN_M) - DEEPENING_M
-    )
+    deepest_gap = max(start_gap, SOLID_MARGIN_M) - DEEPENING_M
+    allowed_gap = min(SOLID_MARGIN_M, start_gap - SAME_M, deepest_gap)
     places = _wheel_places(state, body.wheels)
     start_cm, hanging, rims = _stance(state, body, places, above_cm, reach_m, land)
     around = _circle(rims)
