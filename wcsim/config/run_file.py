@@ -44,8 +44,8 @@ _Seconds = Annotated[float, Field(gt=0.0, le=10.0)]
 
 def _all_named(model: M) -> M:
     """Return a model that its file names in full: what is left out there is no default."""
-    # Files are older than `stateful`: without it a network has no state.
-    left_out = type(model).model_fields.keys() - model.model_fields_set - {"stateful"}
+    # Files are older than `stateful` and `value`: without them a network has none.
+    left_out = type(model).model_fields.keys() - model.model_fields_set - {"stateful", "value"}
     if left_out:
         raise ValueError(f"{', '.join(sorted(left_out))} is missing")
     for name in type(model).model_fields:
