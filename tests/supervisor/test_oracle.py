@@ -249,11 +249,18 @@ def test_the_oracle_is_quick():
 def test_a_wider_and_longer_chair_has_less_room():
     outline = replace(USUAL_OUTLINE, width_m=0.9, length_m=1.4)
     large = oracle_of(outline=outline)
-    beside_the_house, beside_the_pole = plant(60.0, 8.4, 0.0, 0.0), plant(22.8, 6.2, 0.0, 1.3)
+    beside_the_house, beside_the_pole = plant(60.0, 8.4, 0.0, 0.0), plant(22.8, 6.14, 0.0, 1.3)
     lost_m = clearance(beside_the_house, ()) - large.assess(beside_the_house, STOP, ()).clearance_m
     assert lost_m == pytest.approx(0.14, abs=0.06)
     assert not ORACLE.assess(beside_the_pole, FORWARD, ()).danger
     assert large.assess(beside_the_pole, FORWARD, ()).danger
+
+
+def test_a_wall_is_passed_with_a_margin_and_who_is_nearer_may_leave():
+    beside_m = 9.0 - 0.5 * USUAL_OUTLINE.width_m
+    comes_within = [danger(60.0, beside_m - gap_m, 0.04, 1.0) for gap_m in (0.13, 0.3)]  # it comes 6 cm nearer
+    assert comes_within == [True, False]
+    assert not danger(60.0, beside_m - 0.02, 0.0, 1.0)
 
 
 def test_casters_behind_feel_kerbs_too():

@@ -6,7 +6,7 @@ import torch
 
 from tests.agents.danger.sights import HEIGHT_PX, TWO, a_segment, all_of, lectures, lessons_of, small_config
 from tests.support.samples import ACTIONS
-from wcsim.agents.danger.dataset import Dataset
+from wcsim.agents.danger.dataset import CRASH_STEPS, Dataset
 from wcsim.agents.danger.street_map import MIRRORED, SIDE, FeatureExtractor
 from wcsim.errors import PolicyError
 
@@ -57,6 +57,24 @@ def test_the_teacher_is_the_one_that_was_asked_for():
     segment.visible[:], segment.truth[:] = 255, 0
     assert not unsafe_of(segment, "danger.teacher=visible", "danger.ahead=0").any()
     assert unsafe_of(segment, "danger.teacher=truth", "danger.ahead=0").all()
+
+
+def test_a_crash_overrules_an_oracle_that_saw_none():
+    segment = a_segment(30, ends=())
+    segment.visible[:] = 255
+    segment.action[:] = ahead = ACTIONS.nearest((0.0, 1.0))
+    segment.delay[:] = 0
+    assert not unsafe_of(segment)[:, ahead].any()
+    segment.crashed[-1] = segment.own[-1] = True
+    assert np.flatnonzero(unsafe_of(segment)[:, ahead]).tolist() == list(range(30 - 1 - CRASH_STEPS, 30))
+
+
+def test_to_back_where_no_camera_looked_is_unsafe_but_for_a_teacher_of_crashes():
+    segment = a_segment(6, ends=())
+    segment.visible[:], segment.odometry[:] = 255, 0.0
+    back = ACTIONS.nearest((0.0, -1.0))
+    assert unsafe_of(segment)[:, back].any()
+    assert not (unsafe_of(segment, "danger.teacher=crashes") == 1.0)[:, back].any()
 
 
 def test_lessons_hold_the_street_as_a_chair_of_several_cameras_sees_it():

@@ -9,6 +9,7 @@ from wcsim.agents.danger.street_map import (
     AGE,
     BEHIND_M,
     CELL_M,
+    EACH_SLICE,
     HALF_M,
     HIGHEST,
     KIND,
@@ -85,10 +86,30 @@ def test_what_a_position_sweeps_over_lies_ahead_of_a_chair_that_drives_on():
     around = eye.around
     starts = np.zeros((1, 6))
     starts[0, 3] = 1.0
-    out = np.empty((1, 81, SLICES * 4 * len(eye.chair)), np.int32)
+    out = np.empty((1, 81, SLICES * EACH_SLICE * len(eye.chair)), np.int32)
     sweep(starts, around.commands, around.limits, eye.chair, out)
     assert out.min() >= 0 and out.max() < 2 * SLICES * SIDE * SIDE
     rows = (out[0] % (SIDE * SIDE)) // SIDE
     assert rows[AHEAD].min() < rows[LEFT].min(), "row 0 is the farthest ahead"
     columns = out[0, AHEAD] % SIDE
     assert abs(columns.mean() - (SIDE - 1) / 2) < 1.0
+
+
+def test_every_place_of_the_hulls_edge_has_a_point_near_it():
+    hull = FeatureExtractor(CONFIG).chair
+    edge = hull[hull[:, 2] == 0.0, :2]
+    rear, front, half = FeatureExtractor(CONFIG).around.box_B_m
+    for place in [(x, y) for x in np.linspace(rear, front, 40) for y in (-half, half)]:
+        assert np.linalg.norm(edge - place, axis=1).min() <= 0.1 + 1e-9
+
+
+def test_to_back_where_no_camera_looked_is_blind():
+    rear = resolve(CONFIG, 'env.camera=["front","rear"]')
+    level = observation(lambda x, y, z: z <= 0.0)
+    behind = looking_at(lambda x, y, z: z <= 0.0, camera=rear.eyes["rear_"])
+    both = level | {"rear_depth": behind["depth"], "rear_seg": behind["seg"]}
+    eye, all_round = FeatureExtractor(CONFIG), FeatureExtractor(rear)
+    blind = eye.backs_blindly(eye.extract(level))
+    back = (ACTIONS.points[:, 1] <= -0.75) & (np.abs(ACTIONS.points[:, 0]) <= 0.25)
+    assert blind[back].all() and not blind[ACTIONS.points[:, 1] >= 0.0].any()
+    assert not all_round.backs_blindly(all_round.extract(both)).any()

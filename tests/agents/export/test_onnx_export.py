@@ -37,7 +37,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExportMeasurem
 
 def test_200_steps_are_those_of_the_network_and_of_wcsim(made):
     folder, facts = made
-    assert facts.steps == 200 and facts.border_off < MOST_OFF and facts.same_actions == 1.0
+    assert facts.steps == 200 and facts.most_off < MOST_OFF and facts.same_actions == 1.0
     assert facts.same_as_wcsim > 0.97, "cells at a border may go either way"
     meaning = json.loads((folder / MEANING).read_text())
     assert meaning["rule"]["threshold"] == 0.35 and meaning["facts"]["steps"] == 200
@@ -54,8 +54,10 @@ def test_what_it_costs_is_measured_in_a_process_of_its_own(made):
     assert (facts.quota_share, facts.quota_by) == (0.5, "SIGSTOP and SIGCONT")
 
 
-def test_a_test_of_the_folder_shows_it_the_camera_and_the_chair_of_its_training(tmp_path):
+@pytest.mark.parametrize("eyes", ['"front"', '"front", "rear"'])
+def test_a_test_of_the_folder_shows_it_the_cameras_and_the_chair_of_its_training(tmp_path, eyes):
     own = (
+        f"env.camera=[{eyes}]",
         *("cameras.0.hfov_deg=70", "cameras.0.p_BC_m=[0.3,0.0,1.1]", "chair.plant=whill", "chair.accel_mps2=1.0"),
         *("env.classes=wcsim", "env.actions=disc69", "world.action_delay_ticks=1"),
         *("env.observe_yaw=true", "sensors.odometry={radius_error=0.02}"),
@@ -66,7 +68,8 @@ def test_a_test_of_the_folder_shows_it_the_camera_and_the_chair_of_its_training(
     tested = resolve(about.preset, about.settings)
     assert tested.chair == config.chair and tested.env.classes == "wcsim" and tested.env.actions == "disc69"
     keys = CAMERA_KEYS
-    assert all(getattr(tested.cameras[0], key) == getattr(config.cameras[0], key) for key in keys)
+    pairs = zip(tested.eyes.values(), config.eyes.values(), strict=True)
+    assert all(getattr(one, key) == getattr(other, key) for one, other in pairs for key in keys)
     assert tested.world.action_delay_ticks == 1
     assert tested.env.observe_yaw and not tested.env.observe_gyro and tested.sensors == config.sensors
 

@@ -30,7 +30,7 @@ from wcsim.config import CameraConfig, LearnConfig, RunConfig, resolve
 from wcsim.errors import PolicyError
 
 CAMERA = toy_camera(16, 20)
-RIDE = [{**seen, "imu": seen["imu"][:5]} for seen in ride(40, (16, 20))]
+RIDE = [{**seen, "imu": seen["imu"][:5]} for seen in ride(40, RunConfig(cameras=(CAMERA,)))]
 COST = OnnxModelCost(**dict.fromkeys((field.name for field in fields(OnnxModelCost)), 1.0))
 KINDS = (("patch", "groups"), ("fig6", "groups"), ("conv3d", "windows"), ("convlstm", "groups"), ("fig6", "windows"))
 ALONE = """import runpy, sys

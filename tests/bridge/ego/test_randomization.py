@@ -144,6 +144,15 @@ def test_a_camera_sees_from_where_it_was_put(corner):
     assert lowered / usual == pytest.approx(expected, abs=0.02)
 
 
+def test_a_camera_that_looks_back_turns_past_180_degrees(corner):
+    def behind(*words):
+        with open_world(corner, "cameras.0.p_BC_m=[-0.5,0.0,1.0]", *words) as world:
+            return world.snapshot.clients[0].sensors.cameras[0].depth_m
+
+    turned = behind("cameras.0.yaw_deg=180", "vary.camera_turn_deg=[2,2]", "cameras.0.pitch_deg=-17")
+    assert np.array_equal(turned, behind("cameras.0.yaw_deg=-178", "cameras.0.pitch_deg=-15"))
+
+
 def test_light_brightens_colours_and_nothing_else(corner):
     def frame(*words):
         with open_world(corner, "cameras.0.rgb=true", *words) as world:

@@ -1,5 +1,6 @@
 """`wcsim export`: what it refuses before it drives, and the folder that it leaves."""
 
+import json
 import shlex
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from tests.cli.test_bad_input import refused
 from tests.log.drives import tick, write_drive
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.export.export_folder import WRITTEN
+from wcsim.agents.export.guard import MEANING
 from wcsim.agents.rounds import recorded_ride
 from wcsim.agents.rounds.recorded_ride import _RecordedRide
 from wcsim.cli.recordings.users import SMALL_CAMERA
@@ -53,11 +55,16 @@ def test_what_has_no_network_is_not_exported(wcsim, folder, name):
     assert files_in(folder) == set()
 
 
-def test_a_network_of_several_cameras_is_not_exported(wcsim, folder):
+def test_a_network_of_two_cameras_drives_without_wcsim_as_it_was_exported(wcsim, folder):
     two = resolve(CONFIG, 'env.camera=["front","rear"]')
-    save_danger(folder / "seeing", network(), DangerRuleSettings(), two)
-    refused(wcsim("export", "seeing", "--onnx", "x"), "seeing sees several cameras, which cannot be exported")
-    assert not Path("x").exists()
+    net = network()
+    net.spec = net.spec.model_copy(update={"more_cameras": two.cameras[1:]})
+    save_danger(folder / "seeing", net, DangerRuleSettings(threshold=0.4), two)
+    assert wcsim("export", "seeing", "--onnx", "x").code == 0
+    meaning = json.loads(Path("x", MEANING).read_text())
+    assert {"depth", "rear_depth", "rear_seg"} < meaning["inputs"].keys() and len(meaning["cameras"]) == 2
+    alone = subprocess.run([sys.executable, Path("x", "exported_policy.py")], capture_output=True, text=True)
+    assert alone.returncode == 0, alone
 
 
 def test_a_run_that_is_not_there_is_not_taken_for_a_baseline(wcsim):

@@ -152,7 +152,8 @@ def sweep(starts: F64, commands: F64, limits: F64, chair: F64, out: I32) -> None
         commands: (K, 2) joystick positions as the drive takes them.
         limits: (8,) of the drive.
         chair: (n, 3) see `hull_and_wheels`.
-        out: (B, K, SLICES * 4 * n) written: flat indices into (2 * SLICES, SIDE, SIDE) maps, those of the hull first.
+        out: (B, K, SLICES * EACH_SLICE * n) written: flat indices into (2 * SLICES, SIDE, SIDE) maps, those of the hull
+            first.
     """
     rest, now = np.zeros(2), np.empty(6)
     plane = SIDE * SIDE

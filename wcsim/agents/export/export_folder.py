@@ -37,10 +37,14 @@ def find_differing_settings(own: RunConfig, other: RunConfig) -> list[str]:
     `other` is a recording to refuse, or the preset that policy.toml is laid over.
     """
     found: list[tuple[str, Any]] = []
-    for key in CAMERA_KEYS:
-        value = getattr(own.eye, key)
-        if value != getattr(other.eye, key):
-            found.append((f"cameras.0.{key}", value))
+    names = [eye.name for eye in own.eyes.values()]
+    if len(names) > len(other.eyes):
+        found.append(("env.camera", names))
+    pairs = zip(own.eyes.values(), other.eyes.values(), strict=False)
+    for number, (eye, seen) in enumerate(pairs):
+        for key in CAMERA_KEYS:
+            if getattr(eye, key) != getattr(seen, key):
+                found.append((f"cameras.{number}.{key}", getattr(eye, key)))
     for name, sensor in own.sensors.on().items():
         if name not in other.sensors.on():
             # `typical` switches a sensor on with its defaults, which own values then replace.

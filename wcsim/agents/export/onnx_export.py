@@ -42,6 +42,7 @@ from wcsim.agents.policy_api import (
     sense_settings,
     senses_of,
 )
+from wcsim.agents.runs.policy_file import CAMERA_KEYS
 from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import PolicyGuardSettings
 from wcsim.core import files
@@ -311,8 +312,13 @@ def _require_equal(found: F32, expected: F32, graph: Graph) -> F32:
 
 def _about(config: RunConfig) -> str:
     """policy.toml: the settings with which `wcsim test` shows the model what it was trained on."""
-    usual = resolve(_PRESET)
-    size = [(f"cameras.0.{key}", getattr(config.eye, key)) for key in ("width_px", "height_px")]
+    eyes = config.eyes.values()
+    cameras = [{key: getattr(eye, key) for key in ("name", *CAMERA_KEYS)} for eye in eyes]
+    seen = (
+        f"cameras={json.dumps(cameras, separators=(', ', ' = '))}",
+        *format_setting_overrides([("env.camera", [eye.name for eye in eyes])]),
+    )
+    usual = resolve(_PRESET, seen)
     # A value of None is that of the plant, which brings its own.
     more = [(f"chair.{key}", value) for key, value in config.chair if value is not None]
     if config.imu.tilt != usual.imu.tilt:
@@ -320,7 +326,7 @@ def _about(config: RunConfig) -> str:
     more.append(("world.action_delay_ticks", config.world.action_delay_ticks))
     settings = dict.fromkeys(
         (
-            *format_setting_overrides(size),
+            *seen,
             *find_differing_settings(config, usual),
             *format_setting_overrides(more),
         )
@@ -378,7 +384,7 @@ def _meaning_of(graph: Graph, config: RunConfig) -> JsonObject:
         "classes": {
             kind.name.lower(): int(kind) for kind in ClassId if kind < ClassId.KERB or not folded
         },
-        "camera": config.cameras[0].model_dump(mode="json"),
+        "cameras": [eye.model_dump(mode="json") for eye in config.eyes.values()],
         "senses": {"imu": config.imu.model_dump(mode="json"), **senses},
         "senses_meaning": _SENSES,
         "chair": config.chair.model_dump(mode="json"),
@@ -398,8 +404,9 @@ def _input_text(key: str, config: RunConfig) -> str:
         size = count_imu_values(config.env.observe_gyro, config.env.observe_yaw)
         axes = "x ahead, y left, z up, of the chair; see `senses`"
         return f"float32 (1, {size}), {_FORCE_AND_TILT}{more}; {axes}"
-    if key in _INPUTS:
-        return _INPUTS[key]
+    # Keys of further cameras begin with their names.
+    if (usual := key.rpartition("_")[2]) in _INPUTS:
+        return _INPUTS[usual]
     measure = config.sensors.measures()[key]
     parts = ", ".join(
         f"{part} / {scale:g}" for part, scale in zip(measure.parts, measure.full_scale, strict=True)

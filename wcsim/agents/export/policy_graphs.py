@@ -8,6 +8,7 @@ in it, so there are as few as possible. `ValuePolicyGraph` calls the network its
 when `_NetPolicy` warns.
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -29,7 +30,13 @@ from wcsim.agents.perception.ego_motion import (
     TURN_FULL_SCALE,
 )
 from wcsim.agents.perception.surroundings import outline_to_box
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, JOYSTICK_KEY
+from wcsim.agents.policy_api import (
+    CLASS_KEY,
+    DEPTH_KEY,
+    IMU_KEY,
+    JOYSTICK_KEY,
+    ODOMETRY_KEY,
+)
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core.joystick import (
@@ -191,7 +198,6 @@ class DangerPolicyGraph(nn.Module):
         rule: From dangers to an action.
     """
 
-    inputs: Final = ("depth", "seg", "imu", "odometry", "joystick")
     outputs: Final = ("values", "warning", "danger")
     checked: Final = "danger"  # the output that is compared with the network's own
     # Share of the steps in which a place on the border of two cells may be read in the other.
@@ -199,14 +205,8 @@ class DangerPolicyGraph(nn.Module):
     window: Final = 1  # images that it looks at
 
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRuleSettings) -> None:
-        """Raises PolicyError for a network that cannot be exported."""
         super().__init__()
-        if net.spec.more_cameras:
-            raise PolicyError(
-                f"a danger network of {1 + len(net.spec.more_cameras)} cameras cannot be exported; "
-                "expected one: train with one name in env.camera"
-            )
-        camera, chair = config.cameras[0], config.chair
+        chair = config.chair
         points = action_set(config.env.actions).points
         spec = plant_spec(chair)
         self.net, self.rule = net, rule
@@ -215,11 +215,26 @@ class DangerPolicyGraph(nn.Module):
             drive_limits_from_chair(chair), chair.deadband, chair.shape_exponent
         )
         # As `CameraView` sees: every so many pixels, depths short of the camera's range.
-        self.far_m, self.stride = FAR_SHARE * camera.range_m, sampling_stride_px(camera)
-        rays = viewing_rays(camera).reshape(camera.height_px, camera.width_px, 3)
-        self.rays = _constant(rays[:: self.stride, :: self.stride].reshape(-1, 3))
-        self.eye = _constant(np.array(camera.p_BC_m))
-        self.metres = _constant(decode_depth(np.arange(256, dtype=np.uint8), camera.range_m))
+        # A network of one camera sees that alone.
+        eyes = dict(list(config.eyes.items())[: 1 + len(net.spec.more_cameras)])
+        pictures = (prefix + key for prefix in eyes for key in (DEPTH_KEY, CLASS_KEY))
+        self.inputs = (*pictures, IMU_KEY, ODOMETRY_KEY, JOYSTICK_KEY)
+        self.strides = [sampling_stride_px(camera) for camera in eyes.values()]
+        rays = [
+            viewing_rays(camera)
+            .reshape(camera.height_px, camera.width_px, 3)[::stride, ::stride]
+            .reshape(-1, 3)
+            for camera, stride in zip(eyes.values(), self.strides, strict=True)
+        ]
+        # Pixels of all cameras are rows of one table.
+        counts = [len(each) for each in rays]
+        self.rays = _constant(np.concatenate(rays))
+        self.eye = _constant(np.repeat([camera.p_BC_m for camera in eyes.values()], counts, 0))
+        codes = np.arange(256, dtype=np.uint8)
+        tables = [(decode_depth(codes, eye.range_m), eye.range_m) for eye in eyes.values()]
+        # Beyond a camera's range there is nothing.
+        near = [np.where(metres < FAR_SHARE * far_m, metres, 0.0) for metres, far_m in tables]
+        self.metres = _constant(np.concatenate(near))
         self.kinds, self.movers = (
             _constant(street_map.kinds_of_ground()),
             _constant(street_map.movers()),
@@ -256,24 +271,20 @@ class DangerPolicyGraph(nn.Module):
             "state_recent": (1, 1),
         }
 
-    def forward(
-        self,
-        depth: Tensor,
-        seg: Tensor,
-        imu: Tensor,
-        odometry: Tensor,
-        joystick: Tensor,
-        *states: Tensor,
-    ) -> tuple[Tensor, ...]:
+    def forward(self, *given: Tensor) -> tuple[Tensor, ...]:
         """Values (1, A), warning (1, 1), dangers (1, A), and the next states.
+
+        Inputs and states are in their order.
 
         Repeats `DangerPolicy.act`: what it observes, chooses and sends.
         """
+        pictures = given[: 2 * len(self.strides)]
+        imu, odometry, joystick, *states = given[len(pictures) :]
         motion, waiting, sent, last, cells, alarm, recent = states
-        # 1. Observe: how the chair moves, then what its camera shows.
+        # 1. Observe: how the chair moves, then what its cameras show.
         shaped = self.drive.shaped(joystick)
         motion, waiting = self._observe_motion(imu, odometry, shaped, motion, waiting)
-        cells = self._write_cells(depth, seg, motion, cells)
+        cells = self._write_cells(pictures[::2], pictures[1::2], motion, cells)
         codes = self._read_cells(motion, cells)
         # 2. Roll every action out from where the next command reaches the chair.
         places, start = self._start(motion, waiting)
@@ -332,15 +343,18 @@ class DangerPolicyGraph(nn.Module):
             torch.where(started[:, None], waiting, first_waiting),
         )
 
-    def _write_cells(self, depth: Tensor, seg: Tensor, motion: Tensor, cells: Tensor) -> Tensor:
+    def _write_cells(
+        self, depths: Sequence[Tensor], segs: Sequence[Tensor], motion: Tensor, cells: Tensor
+    ) -> Tensor:
         """Repeats `street_map._write`: scattered maxima take the place of its loop over pixels."""
         tick = motion[:, _NOW]
         # 1. Which pixels are used, and in which cell of O each is.
-        metres = self.metres[self._sampled(depth)]
+        codes = self._sampled(depths)
+        metres = self.metres[torch.cat([256 * n + codes[n] for n in range(len(codes))])]
         place = self.eye + metres[:, None] * self.rays
-        classes = self._sampled(seg)
+        classes = torch.cat(self._sampled(segs))
         kind, may_move = self.kinds[classes], self.movers[classes]
-        used = (metres > 0.0) & (metres < self.far_m) & (place[:, 2] <= street_map.HEAD_M)
+        used = (metres > 0.0) & (place[:, 2] <= street_map.HEAD_M)
         used = used & (place[:, :2].abs().amax(dim=1) <= street_map.REACH_M)
         ix, iy = _cells_in_O(motion, place[:, 0], place[:, 1])
         # What is not used goes into one more cell, which is dropped.
@@ -376,9 +390,12 @@ class DangerPolicyGraph(nn.Module):
         kinds = kinds - 8.0 * torch.floor(kinds / 8.0)
         return torch.where(seen, torch.stack([key, now, mover, kinds, high, -low]), old)[None]
 
-    def _sampled(self, image: Tensor) -> Tensor:
-        """Repeats `CameraView._sampled`: (n,) int64, one for each of `rays`."""
-        return image[..., :: self.stride, :: self.stride].reshape(-1).to(torch.int64)
+    def _sampled(self, images: Sequence[Tensor]) -> list[Tensor]:
+        """Repeats `CameraView._sampled`: (n,) int64 of each camera, together one for each ray."""
+        return [
+            image[..., ::stride, ::stride].reshape(-1).to(torch.int64)
+            for image, stride in zip(images, self.strides, strict=True)
+        ]
 
     def _read_cells(self, motion: Tensor, cells: Tensor) -> Tensor:
         """Repeats `street_map._read`: (PLANES, SIDE, SIDE) in 0..255."""

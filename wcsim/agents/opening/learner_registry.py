@@ -22,7 +22,6 @@ from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerPolicyFile, QPolicyFile
 from wcsim.core.reading import JsonObject, pluralize
-from wcsim.errors import PolicyError
 from wcsim.server.workers.machines import WorkerPoolSettings
 from wcsim.supervisor.rewards import make_reward_term
 from wcsim.towns.scenario.town import Town
@@ -115,10 +114,6 @@ class Learner(Protocol):
         Raises:
             PolicyError: It cannot be loaded, or was trained with other observations or actions.
         """
-
-    def require_exportable(self, folder: Path, name: str) -> None:
-        """Raise PolicyError for a policy that has no ONNX form; by default every policy has one."""
-        return
 
     def open_graph(
         self,
@@ -300,14 +295,6 @@ class _DangerRounds(Learner):
         from wcsim.agents.danger.policy import load_danger
 
         return load_danger(folder, name, config, level)
-
-    def require_exportable(self, folder: Path, name: str) -> None:
-        """See `Learner`."""
-        if read_danger_policy_file(folder).more_cameras:
-            raise PolicyError(
-                f"{name} sees several cameras, which cannot be exported; expected a danger network "
-                "of one: docs/export.md, What cannot be exported"
-            )
 
     def open_graph(
         self,

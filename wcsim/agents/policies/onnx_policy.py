@@ -212,9 +212,8 @@ def _input(key: str, shape: Sequence[Any], observation: Observation) -> Any:
             f"{', '.join(sorted(observation))}"
         )
     # With 0 the slice takes all images.
-    images = 0
-    if key in (CLASS_KEY, DEPTH_KEY) and len(shape) > 1 and isinstance(shape[1], int):
-        images = shape[1]
+    pictured = key.rpartition("_")[2] in (CLASS_KEY, DEPTH_KEY) and len(shape) > 1
+    images = shape[1] if pictured and isinstance(shape[1], int) else 0
     return np.ascontiguousarray(observation[key][-images:])[None]
 
 

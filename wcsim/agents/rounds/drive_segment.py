@@ -132,7 +132,8 @@ def require_recordable(config: RunConfig) -> None:
 def _require_drivable(config: RunConfig) -> None:
     action_set(config.env.actions)  # labels are of its positions: any stick has none
     if config.danger.teacher in BY_EVENTS and config.collect.follow_share < 1.0:
-        told = f"danger.teacher={config.danger.teacher}, but collect.follow_share lets the oracle drive"
+        share = f"collect.follow_share={config.collect.follow_share:g}"
+        told = f"danger.teacher={config.danger.teacher}, but {share} lets the oracle drive"
         raise ConfigError(f"{told}; expected 1: users, and then the network, drive alone")
 
 

@@ -4,6 +4,7 @@ Each name has a seed of its own. So a seat's draws do not change when another ra
 every seat has others.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -175,7 +176,9 @@ def _retuned(sensors: SensorsConfig, drawn: tuple[tuple[str, float], ...]) -> Se
 
 def _mounted(camera: CameraConfig, shift_m: Vec3, yaw_deg: float, pitch_deg: float) -> CameraConfig:
     x, y, z = (p + s for p, s in zip(camera.p_BC_m, shift_m, strict=True))
-    turned = {"yaw_deg": camera.yaw_deg + yaw_deg, "pitch_deg": camera.pitch_deg + pitch_deg}
+    # One that looks back turns past 180 degrees.
+    yaw_deg = math.remainder(camera.yaw_deg + yaw_deg, 360.0)
+    turned = {"yaw_deg": yaw_deg, "pitch_deg": camera.pitch_deg + pitch_deg}
     data = {**camera.model_dump(), "p_BC_m": (x, y, z), **turned}
     return parse(CameraConfig, data, f"camera {camera.name}")
 

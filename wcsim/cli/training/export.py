@@ -138,9 +138,7 @@ def _network(name: str) -> Path:
             f"{escape(named.place)} is not a run: there is no such folder; expected one that "
             f"`wcsim train` made, a policy folder, or {SHIPPED}{meant(named.place, (SHIPPED,))}"
         )
-    path = policy_folder_from_name(name)
-    learner_from_policy(path).require_exportable(path, name)
-    return path
+    return policy_folder_from_name(name)
 
 
 def _compared(facts: ExportMeasurements) -> str:
