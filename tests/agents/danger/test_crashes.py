@@ -11,12 +11,14 @@ from torch.nn import functional
 from tests.agents.danger.sights import a_segment, lessons_of, small_config
 from tests.agents.danger.toy_rides import ACTIONS, astray, follow, ride, segment_of, toy_config
 from wcsim.agents.danger import dataset as dataset_module
-from wcsim.agents.danger.dataset import UNKNOWN, Dataset, _happened
+from wcsim.agents.danger.dataset import UNKNOWN, Dataset, _happened, _returns
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.runs.data_folder import ORACLE, join_segments
+from wcsim.config import RewardConfig
 from wcsim.config.run_file import DangerRuleSettings
 from wcsim.errors import PolicyError
+from wcsim.supervisor.rewards import reward_of_distance
 
 AHEAD, CLEAR, TICK_S = 6, 12, 0.1
 AHEAD_STICK, LEFT, REST = (ACTIONS.nearest(stick) for stick in ((0.0, 1.0), (-1.0, 0.0), (0.0, 0.0)))
@@ -87,6 +89,19 @@ def test_an_episode_is_judged_by_itself_and_neither_wish_nor_driver_nor_oracle_c
     )
     for segment in (whole, other):
         assert np.array_equal(_happened(segment, ACTIONS, AHEAD, TICK_S), np.concatenate(alone))
+
+
+def test_returns_are_what_table_2_took_but_for_the_distance_of_sticks():
+    reward, held = RewardConfig(), [AHEAD_STICK] * 40
+    segment = driven(held, crashed=True)
+    points = ACTIONS.points[segment.action]
+    paid = reward_of_distance(np.minimum(np.linalg.norm(points - segment.stick, axis=1), reward.max_distance), reward)
+    calm = paid - np.where(segment.crashed, reward.crash, 0.0)
+    share = _returns(replace(segment, reward=calm.astype(np.float32)), ACTIONS, reward)[:, AHEAD_STICK]
+    assert np.allclose(share, 0.9 ** np.arange(39, -1, -1), atol=1e-5)
+    cut = _returns(replace(driven(held), reward=paid.astype(np.float32)), ACTIONS, reward)[:, AHEAD_STICK]
+    assert np.allclose(cut[:20], 0.0, atol=1e-6) and (cut[20:] == UNKNOWN).all(), "nobody knows what follows a cut"
+    assert (_returns(segment, ACTIONS, reward)[:, LEFT] == UNKNOWN).all()
 
 
 def test_what_the_oracle_drove_and_data_without_labels_are_refused():

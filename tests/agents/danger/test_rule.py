@@ -6,7 +6,7 @@ from hypothesis.extra import numpy as hnp
 
 from tests.support.samples import ACTIONS
 from wcsim.agents.danger.policy import RECENT_TICKS, _choose, _next_recent, _within
-from wcsim.config.run_file import DangerRuleSettings
+from wcsim.config.run_file import DangerRuleSettings, StickValue
 
 RULE = DangerRuleSettings()
 STICK = np.array([0.1, 0.9])
@@ -57,6 +57,22 @@ def test_a_lower_level_is_never_more_dangerous(danger, stick):
     allowed = [danger.min() < rule.threshold for rule in rules]
     for value, rule, any_is in zip(chosen, rules, allowed, strict=True):
         assert value < rule.threshold or not any_is
+
+
+def test_where_sticks_have_a_value_the_highest_is_taken():
+    wish = ACTIONS.nearest(STICK)
+    stick = ACTIONS.points[wish]
+    valued = DangerRuleSettings(value=StickValue())
+    assert _choose(np.full(81, 0.3), stick, ACTIONS, valued) == wish, "no other stick is worth more"
+    danger = np.zeros(81)
+    danger[wish] = 0.02
+    assert _choose(danger, stick, ACTIONS, valued) == wish, "another one costs more than this danger"
+    danger[wish] = 0.5
+    other = _choose(danger, stick, ACTIONS, valued)
+    assert other != wish and np.linalg.norm(ACTIONS.points[other] - stick) <= 0.26
+    danger[wish] = 0.04
+    eager = DangerRuleSettings(threshold=0.02, value=StickValue())
+    assert _choose(danger, stick, ACTIONS, eager) != wish == _choose(danger, stick, ACTIONS, valued)
 
 
 PATIENT = DangerRuleSettings(at_once=0.6)
