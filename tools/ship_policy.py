@@ -22,7 +22,7 @@ from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.onnx_export import export_policy
 from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.policy_api import MODEL_FILE, Observation
-from wcsim.agents.rounds.train_rounds import data_of
+from wcsim.agents.rounds.train_rounds import read_data_hashes
 from wcsim.agents.runs.data_folder import DATA, SEGMENTS, hash_segments, read_data_manifest, segment_key_from_name
 from wcsim.agents.runs.policy_file import (
     EXPORTED,
@@ -147,7 +147,7 @@ def noise_told(camera: CameraConfig) -> str:
 
 def driving(run: RunFolder) -> tuple[list[str], list[str], int]:
     """Towns, users and number of segments of all that it learned from: what was driven for it, and data folders."""
-    collect, others = run.config.collect, data_of(run)
+    collect, others = run.config.collect, read_data_hashes(run)
     towns, users = list[str](), list[str]()
     if collect.segments:
         made = [f"{collect.made_towns} generated"] if collect.made_towns else []
@@ -169,7 +169,9 @@ def is_of_run(folder: Path) -> bool:
 
 def commands(run: RunFolder) -> list[str]:
     """What was typed for the driving that it learned from, then for the run; no place of this machine is told."""
-    data = [command for folder, segments in data_of(run).items() for command in driven_by(Path(folder), segments)]
+    data = [
+        command for folder, segments in read_data_hashes(run).items() for command in driven_by(Path(folder), segments)
+    ]
     return [*data, typed(run)]
 
 

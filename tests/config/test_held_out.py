@@ -7,7 +7,7 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import episode
 from wcsim.agents.opening.list_file import open_recipe, open_suite_to_choose_by, write_list
-from wcsim.agents.rounds.train_rounds import towns_of
+from wcsim.agents.rounds.train_rounds import _find_towns
 from wcsim.agents.runs.data_folder import write_data_manifest
 from wcsim.cli.shared.run_config import refuse_held_out_users
 from wcsim.config import RunConfig, resolve
@@ -47,7 +47,7 @@ def test_a_made_town_that_is_held_out_is_known_by_its_seed(corner: Path, corner_
     toml.write_text(f'{toml.read_text()}rebuild = "wcsim town make x --seed 5953 --out . --kind random"\n')
     config = resolve(RunConfig(), f'collect.towns=["{tmp_path}/town"]')
     with pytest.raises(ConfigError, match="town made:5953 is held out"):
-        towns_of(corner_town, (), config, tmp_path, 3)
+        _find_towns(corner_town, (), config, tmp_path, 3)
 
 
 @pytest.mark.parametrize(

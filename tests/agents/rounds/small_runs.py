@@ -26,23 +26,23 @@ SMALL = (
 )
 
 
-class NoiseCrew:
+class NoiseWorkers:
     """Whoever asks gets streets of noise, which follow from the key; a network has to be where an order says."""
 
     def __init__(self, config: RunConfig, data: Path, machines: WorkerPoolSettings, logs: Path) -> None:
         self._folder = data
 
-    def __enter__(self) -> NoiseCrew:
+    def __enter__(self) -> NoiseWorkers:
         return self
 
     def __exit__(self, *exception: object) -> None:
         """Nobody works."""
 
-    def ask(self, orders: Sequence[SegmentOrder]) -> None:
+    def submit(self, orders: Sequence[SegmentOrder]) -> None:
         assert all(not order.policy or Path(order.policy, "policy.json").is_file() for order in orders)
 
-    def take(self, orders: Sequence[SegmentOrder], told: object) -> dict[str, str]:
-        self.ask(orders)
+    def wait(self, orders: Sequence[SegmentOrder], told: object) -> dict[str, str]:
+        self.submit(orders)
         paths = {segment_path_from_name(self._folder, order.key.name): order.key for order in orders}
         return {path.name: write_segment(path, a_segment(seed=key.round + key.index)) for path, key in paths.items()}
 

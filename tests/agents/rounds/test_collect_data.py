@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.agents.danger.sights import small_config
-from tests.agents.rounds.small_runs import NoiseCrew
+from tests.agents.rounds.small_runs import NoiseWorkers
 from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
@@ -22,13 +22,13 @@ from wcsim.errors import ConfigError, PolicyError
 PLANT = (Path(__file__).parents[3] / "examples" / "fwd.toml").read_text()
 
 
-class OneDies(NoiseCrew):
+class OneDies(NoiseWorkers):
     """Drives noise, and dies at the second segment where it is told to."""
 
     dies = False
 
-    def take(self, orders: Sequence[SegmentOrder], told: object) -> dict[str, str]:
-        done = super().take(orders[:1] if self.dies else orders, told)
+    def wait(self, orders: Sequence[SegmentOrder], told: object) -> dict[str, str]:
+        done = super().wait(orders[:1] if self.dies else orders, told)
         if self.dies:
             raise KeyboardInterrupt
         return done
@@ -36,7 +36,7 @@ class OneDies(NoiseCrew):
 
 @pytest.fixture
 def order(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DataOrder:
-    monkeypatch.setattr("wcsim.agents.rounds.collect_data.SegmentCrew", OneDies)
+    monkeypatch.setattr("wcsim.agents.rounds.collect_data.SegmentWorkers", OneDies)
     return DataOrder(folder=tmp_path / "data", config=small_config(), towns=(str(corner),), seed=1, segments=2)
 
 

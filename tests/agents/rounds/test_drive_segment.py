@@ -12,11 +12,11 @@ from wcsim.agents.rounds.drive_segment import (
     OFF_WAY_STEPS,
     SegmentOrder,
     _DataDriver,
-    _drawn_settings,
+    _draw_variant,
     _is_of_scenes,
-    _places_of,
-    _town_in_turn,
-    collect,
+    _iter_world_setups,
+    _town_index,
+    drive_segment,
     require_recordable,
 )
 from wcsim.agents.runs.data_folder import (
@@ -46,7 +46,7 @@ def order_in(corner: Path, *overrides: str, key: DrivingSegmentKey = KEY) -> Seg
 
 @pytest.fixture(scope="module")
 def segment(corner: Path) -> DrivingSegment:
-    return collect(order_in(corner, "collect.episode_steps=15"), None)
+    return drive_segment(order_in(corner, "collect.episode_steps=15"), None)
 
 
 def test_every_chair_has_a_row_for_every_tick(segment: DrivingSegment):
@@ -58,15 +58,17 @@ def test_every_chair_has_a_row_for_every_tick(segment: DrivingSegment):
 
 
 def test_the_same_key_gives_the_same_segment_and_another_another(corner: Path, segment: DrivingSegment):
-    again = collect(order_in(corner, "collect.episode_steps=15"), None)
+    again = drive_segment(order_in(corner, "collect.episode_steps=15"), None)
     assert all((column == again.arrays()[name]).all() for name, column in segment.arrays().items())
-    other = collect(order_in(corner, "collect.episode_steps=15", key=DrivingSegmentKey(run=5, round=0, index=1)), None)
+    other = drive_segment(
+        order_in(corner, "collect.episode_steps=15", key=DrivingSegmentKey(run=5, round=0, index=1)), None
+    )
     assert not np.array_equal(other.stick, segment.stick)
 
 
 def test_a_share_of_the_chairs_begins_off_the_way_and_is_pushed(corner: Path):
     orders = (order_in(corner, f"collect.off_way_share={share}", "collect.ticks=130") for share in (0, 1))
-    usual, pushed = (collect(order, None) for order in orders)
+    usual, pushed = (drive_segment(order, None) for order in orders)
     assert pushed.ended.sum() >= 2 * (130 // OFF_WAY_STEPS) > usual.ended.sum()
     assert pushed.wish[:, 1].mean() > 0.6 > usual.wish[:, 1].mean()
     assert (pushed.visible != SAFE).any(axis=1).mean() > 1.5 * (usual.visible != SAFE).any(axis=1).mean()
@@ -74,7 +76,9 @@ def test_a_share_of_the_chairs_begins_off_the_way_and_is_pushed(corner: Path):
 
 def test_who_learns_from_crashes_asks_no_oracle_and_drives_in_the_same_world(corner: Path):
     words = ("collect.ticks=60", "collect.follow_share=1", "collect.astray_spread=0.9", "collect.astray_ticks=[10,40]")
-    judged, alone = (collect(order_in(corner, *words, f"danger.teacher={name}"), None) for name in ("truth", "crashes"))
+    judged, alone = (
+        drive_segment(order_in(corner, *words, f"danger.teacher={name}"), None) for name in ("truth", "crashes")
+    )
     assert alone.visible.shape == alone.truth.shape == (120, 0)
     same = {name: column for name, column in alone.arrays().items() if name not in ("visible", "truth")}
     assert all((column == judged.arrays()[name]).all() for name, column in same.items())
@@ -97,7 +101,7 @@ def test_scenes_are_driven_in_their_share(corner: Path, tmp_path: Path):
     config = resolve(RunConfig(), ("collect.scene_share=0.25", "collect.segments=4"))
     keys = [DrivingSegmentKey(run=0, round=r, index=i) for r in range(2) for i in range(4)]
     assert [_is_of_scenes(config, key) for key in keys].count(True) == 2
-    place = next(_places_of(order_in(corner, "collect.scene_share=1"), tmp_path))
+    place = next(_iter_world_setups(order_in(corner, "collect.scene_share=1"), tmp_path))
     assert len(place.seats) == 1 and place.seats[0].profile.startswith("recorded:")
 
 
@@ -109,18 +113,18 @@ def test_streets_are_driven_in_each_town_in_turn_also_with_scenes_between_and_ov
     order = order_in(corner, "collect.scene_share=0.5", "collect.segments=3")
     keys = [DrivingSegmentKey(run=5, round=n, index=k) for n in range(4) for k in range(3)]
     streets = [key for key in keys if not _is_of_scenes(order.config, key)]
-    places = [next(_places_of(replace(order, key=key, towns=tuple(towns)), tmp_path)) for key in streets]
+    places = [next(_iter_world_setups(replace(order, key=key, towns=tuple(towns)), tmp_path)) for key in streets]
     driven = [place.town.folder.name for place in places]
     assert sorted(driven[:3]) == ["a", "b", "c"] and driven[3:] == driven[:3]
-    firsts = {_town_in_turn(order.config, DrivingSegmentKey(run=run, round=0, index=0), 3) for run in range(30)}
+    firsts = {_town_index(order.config, DrivingSegmentKey(run=run, round=0, index=0), 3) for run in range(30)}
     assert firsts == {0, 1, 2}, "many short runs leave no town out"
 
 
 def test_variants_are_drawn_by_key():
     config = resolve(RunConfig(), 'collect.variants=["a=1 b=2", "c=3"]')
-    drawn = {_drawn_settings(config, DrivingSegmentKey(run=0, round=0, index=index)) for index in range(20)}
+    drawn = {_draw_variant(config, DrivingSegmentKey(run=0, round=0, index=index)) for index in range(20)}
     assert drawn == {("a=1", "b=2"), ("c=3",)}
-    assert _drawn_settings(RunConfig(), KEY) == ()
+    assert _draw_variant(RunConfig(), KEY) == ()
 
 
 @pytest.mark.parametrize(
@@ -187,7 +191,7 @@ def test_the_oracle_takes_the_nearest_action_that_ends_well():
 def test_labels_and_senses_are_of_the_moment_in_which_the_action_is_chosen(
     corner: Path, tmp_path: Path, segment: DrivingSegment
 ):
-    place = next(_places_of(order_in(corner, "collect.episode_steps=15"), tmp_path))
+    place = next(_iter_world_setups(order_in(corner, "collect.episode_steps=15"), tmp_path))
     specs = tuple(replace(spec, truth=True, truth_visible=True) for spec in place.seats)
     actions, told = segment.action.reshape(2, 40), []
     with World(place.town, place.config, specs, place.seed) as world:

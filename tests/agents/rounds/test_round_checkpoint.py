@@ -15,12 +15,12 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from tests.agents.danger.sights import a_segment, lectures, small_config, write_segment
-from tests.agents.rounds.small_runs import SMALL, NoiseCrew, outcome, run_in, train_in
+from tests.agents.rounds.small_runs import SMALL, NoiseWorkers, outcome, run_in, train_in
 from tests.support.one_process import files_of_at_most
 from tests.support.worlds import dqn_config
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
-from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, _save_round, train_danger
+from wcsim.agents.rounds.train_rounds import RoundProgress, _make_restore, _save_round, train_danger
 from wcsim.agents.runs.checkpoint import STATE, _restore_newest, checkpoint_number_from_path, format_checkpoint_name
 from wcsim.agents.runs.data_folder import DrivingSegmentKey, segment_path_from_name, write_data_manifest
 from wcsim.agents.runs.metrics import read_round_metrics
@@ -37,7 +37,7 @@ SETTINGS = ("danger.width=8", "collect.segments=1")
 
 @pytest.fixture(autouse=True)
 def noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(train_rounds, "SegmentCrew", NoiseCrew)
+    monkeypatch.setattr(train_rounds, "SegmentWorkers", NoiseWorkers)
 
 
 def test_a_run_learns_from_the_driving_of_others_that_it_began_with_wherever_it_goes_on(
@@ -88,7 +88,7 @@ def test_driving_of_others_that_is_gone_or_another_when_a_run_goes_on_is_told(
 def test_a_run_that_nobody_drives_for_or_nobody_could_is_refused_before_towns_are_made(
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(train_rounds, "towns_of", None)
+    monkeypatch.setattr(train_rounds, "_find_towns", None)
     run, told = tmp_path / "run", r"no data to learn from; expected --data FOLDER, or collect\.segments of 1"
     with pytest.raises(ConfigError, match=told):
         train_in(corner, run, "collect.segments=0")
@@ -129,7 +129,7 @@ def a_learner() -> DangerLearner:
 
 def load_round(folder: Path) -> tuple[int, dict[str, str]]:
     """The round that a run goes on from, and the segments that it had learned from."""
-    found = _restore_newest(folder, _restoring(a_learner()))
+    found = _restore_newest(folder, _make_restore(a_learner()))
     return checkpoint_number_from_path(found.path), found.value
 
 
@@ -146,12 +146,12 @@ def straight(corner: Path, corner_town: Town, tmp_path_factory: pytest.TempPathF
     """A run that nothing happened to."""
     run = run_in(corner, tmp_path_factory.mktemp("rounds") / "straight", *SETTINGS)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(train_rounds, "SegmentCrew", NoiseCrew)
+        patch.setattr(train_rounds, "SegmentWorkers", NoiseWorkers)
         train_danger(run, corner_town)
     return run.out
 
 
-@pytest.mark.parametrize("step", ["_save", "append_round_metrics", "_save_round"])
+@pytest.mark.parametrize("step", ["_save_policy", "append_round_metrics", "_save_round"])
 def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights(
     corner: Path, corner_town: Town, straight: Path, tmp_path: Path, step: str
 ) -> None:
@@ -187,7 +187,7 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
     state = json.loads(path.read_text())
     changed = {"3-000-0000.npz.zst": "b" * 64} if key == "segments" else state[key] + 1
     path.write_text(json.dumps({**state, key: changed}))
-    found = _restore_newest(tmp_path, _restoring(a_learner()))
+    found = _restore_newest(tmp_path, _make_restore(a_learner()))
     assert checkpoint_number_from_path(found.path) == 0
     assert ["its content does not match its hash" in reason for reason in found.passed_over.values()] == [True]
     seal = state.pop("seal")
@@ -239,7 +239,7 @@ def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
         bytes={item.name: item.stat().st_size for item in arrays},
     )
     with pytest.raises(PolicyError, match=rf"{re.escape(key)}|not finite"):
-        _restore_newest(tmp_path, _restoring(learner))
+        _restore_newest(tmp_path, _make_restore(learner))
 
 
 @pytest.mark.parametrize("changes", [{"updates": "7"}, {"loss": True}, {"segments": []}, {"segments": {"a": 1}}])

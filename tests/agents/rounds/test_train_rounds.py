@@ -17,7 +17,7 @@ from tests.support.one_process import in_this_process
 from tests.support.worlds import dqn_config
 from wcsim.agents.danger.policy import load_danger
 from wcsim.agents.rounds import train_rounds
-from wcsim.agents.rounds.train_rounds import RoundProgress, towns_of, train_danger
+from wcsim.agents.rounds.train_rounds import RoundProgress, _find_towns, train_danger
 from wcsim.agents.runs.data_folder import DATA, NETWORK, SEGMENTS, read_segment
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.config import RunConfig
@@ -32,19 +32,19 @@ def test_towns_are_made_where_somebody_drives_in_them_alone(corner_town, tmp_pat
     monkeypatch.setattr(train_rounds, "make_town", lambda out, drawn, wishes: made.append(out))
     monkeypatch.setattr(train_rounds, "open_town", lambda out: corner_town)
     driven, read = (dqn_config("collect.made_towns=2", f"collect.segments={count}") for count in (1, 0))
-    assert towns_of(corner_town, (), read, tmp_path, 3) == (str(corner_town.address),) and not made
-    assert towns_of(corner_town, (), driven, tmp_path, 3) == (str(corner_town.address),) * 3 and len(made) == 2
+    assert _find_towns(corner_town, (), read, tmp_path, 3) == (str(corner_town.address),) and not made
+    assert _find_towns(corner_town, (), driven, tmp_path, 3) == (str(corner_town.address),) * 3 and len(made) == 2
 
 
 def test_towns_of_the_command_take_turns_with_those_of_the_configuration(corner, corner_town, tmp_path):
     config = dqn_config(f'collect.towns=["{corner}"]')
-    assert towns_of(corner_town, ("helsinki",), config, tmp_path, 3) == (
+    assert _find_towns(corner_town, ("helsinki",), config, tmp_path, 3) == (
         str(corner),
         find_town("helsinki").address,
         str(corner),
     )
     with pytest.raises(TownError, match="monaco is a test town"):
-        towns_of(corner_town, (), dqn_config('collect.towns=["monaco"]'), tmp_path, 3)
+        _find_towns(corner_town, (), dqn_config('collect.towns=["monaco"]'), tmp_path, 3)
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ ROWS: Final = (
     Row(name="wcsim: functions and classes", first=4_414, ceiling=3_291, count=measures.names),
     Row(name="wcsim: those that are public", first=2_655, ceiling=1_588, count=measures.public_names),
     Row(name="wcsim: private ones called once", first=1_278, ceiling=871, count=measures.called_once),
-    Row(name="wcsim: files with late constants", first=110, ceiling=16, count=measures.late_constants),
+    Row(name="wcsim: files with late constants", first=110, ceiling=14, count=measures.late_constants),
     Row(name="wcsim: code lines a comment", first=389, ceiling=26.2, count=measures.lines_per_comment),
     Row(
         name="wcsim: the same where ties are decided",
@@ -44,7 +44,7 @@ ROWS: Final = (
         ceiling=20.3,
         count=lambda: measures.lines_per_comment(*measures.DECIDING),
     ),
-    Row(name="wcsim: rooms of over 40 of them", first=24, ceiling=4, count=measures.silent_rooms),
+    Row(name="wcsim: rooms of over 40 of them", first=24, ceiling=2, count=measures.silent_rooms),
     Row(name="wcsim: settings", first=213, ceiling=191, count=measures.settings),
     Row(name="wcsim: imports, % of the code", first=12.8, ceiling=10.6, count=measures.import_share),
     Row(name="JavaScript: lines", first=1_632, ceiling=1_632, count=lambda: measures.text_lines(".js")),

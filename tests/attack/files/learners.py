@@ -18,7 +18,7 @@ from tests.attack.files.policies import CHANGES, bad_header, packed, unpacked
 from tests.attack.scenarios.twists import Rng, cleared, integer, json_text, pick, spoiled, twisted
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
-from wcsim.agents.rounds.train_rounds import _restoring, _save_round
+from wcsim.agents.rounds.train_rounds import _make_restore, _save_round
 from wcsim.agents.runs.checkpoint import STATE, _restore_newest, checkpoint_number_from_path
 from wcsim.agents.runs.data_folder import read_segment, segment_to_bytes
 from wcsim.core import files
@@ -154,7 +154,7 @@ def _resealed(path: Path) -> None:
 def _take_round(path: Path) -> bool:
     _resealed(path)
     learner = _learner()
-    found = _restore_newest(path.parents[1], _restoring(learner))
+    found = _restore_newest(path.parents[1], _make_restore(learner))
     return _same(
         found.path, learner, lambda out: _save_round(out, checkpoint_number_from_path(found.path), learner, found.value)
     )

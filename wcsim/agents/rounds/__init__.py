@@ -1,1 +1,1 @@
-"""Rounds: worlds in processes of their own drive and record while the network learns from what they drove before."""
+"""Rounds: worlds in processes of their own drive and record while the network learns."""

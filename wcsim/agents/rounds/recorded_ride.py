@@ -1,4 +1,4 @@
-"""One drive as observations, for policies to be compared on: a short new one, or a recorded one made again."""
+"""Rides as observations, to compare policies on: a short new one, or a recorded one replayed."""
 
 import math
 from contextlib import closing
@@ -10,8 +10,14 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Info, find_episode_delay_ticks
 from wcsim.agents.envs.seat_driver import AgentSeatDriver
-from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy, sense_settings, senses_of
-from wcsim.bridge.replay.replayed import Log, config_of, log_of, replayed
+from wcsim.agents.policy_api import (
+    JOYSTICK_KEY,
+    Observation,
+    Policy,
+    sense_settings,
+    senses_of,
+)
+from wcsim.bridge.replay.replayed import config_of, log_of, replayed
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
@@ -24,30 +30,50 @@ from wcsim.log.writer import JOURNAL
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import make_observation
 from wcsim.towns.scenario.town import find_town
-from wcsim.types import F32, ClientSnapshot, Joystick, SeatSpec
+from wcsim.types import F32, SeatSpec
 from wcsim.users.recordings.recorded_user import find_user
 
-PUSH_TICKS: Final = 20  # so long the stick is held somewhere, and so long the user has it again
 TRIES: Final = 5  # episodes, until one is long enough
+_PUSH_TICKS: Final = 20  # of a push in one direction, and of the user's own stick before the next
 _WIDEST_RAD: Final = 2.0  # of a push, from ahead
 
 
-def reference_ride(town: str, config: RunConfig, steps: int, policy: Policy, seed: int = 0) -> list[Observation]:
-    """Observations of so many successive ticks of one chair that a policy drives, all of one episode.
+def reference_ride(
+    town: str, config: RunConfig, steps: int, policy: Policy, seed: int = 0
+) -> list[Observation]:
+    """Observations of consecutive ticks of one episode, in which a policy drives one chair.
 
-    By turns the stick is the simulated user's, and pushed to its end in one direction, towards whatever is there: a
-    user who never errs would give a policy nothing to do, and a blind one would do as well. Where the episode ends it
-    begins anew; where each one ends it is the longest, with fewer steps. Raises TownError.
+    A user who never errs would leave the policy nothing to do, and a blind policy would do as well.
+    So the stick is by turns the simulated user's, and pushed to its end in a random direction.
+
+    Args:
+        town: A folder or a name.
+        config: Of the policy's run.
+        steps: The length of the ride. Where all of `TRIES` episodes end before, the longest counts.
+        policy: Drives the chair.
+        seed: Of the world and the pushes.
+
+    Raises:
+        TownError: The town cannot be opened.
     """
     sensing = resolve(config, sense_settings(config, senses_of(policy)))
     spec = SeatSpec(profile=config.env.profile, max_steps=steps + 1)
-    pushes, longest = _pushed_sticks(steps, seed), list[Observation]()
+    # The pushed stick at each step, (steps, 2) in -1..1; NaN where it is the user's own.
+    turns = steps // _PUSH_TICKS + 1
+    angles_rad = seeding.make_rng(seed, "pushes").uniform(-_WIDEST_RAD, _WIDEST_RAD, turns)
+    pushes = np.full((steps, 2), math.nan, np.float32)
+    for step in range(steps):
+        turn = step // _PUSH_TICKS
+        if turn % 2:
+            pushes[step] = math.sin(angles_rad[turn]), math.cos(angles_rad[turn])
+
+    longest, tries = list[Observation](), 0
     with World(find_town(town), sensing, (spec,), seed, find_user=find_user) as world:
         policy.begin()
-        agent, tries = _Pushed(policy, pushes), 0
+        agent = _PushedAgent(policy, pushes)
         driver = AgentSeatDriver(sensing, agent, world.snapshot.clients[0])
-        for step in rollout(world, {0: driver.choose}):
-            (client,) = step.after.clients
+        for tick in rollout(world, {0: driver.choose}):
+            (client,) = tick.after.clients
             driver.finish_step(client)
             if client.first is None and len(agent.seen) < steps:
                 continue
@@ -57,113 +83,114 @@ def reference_ride(town: str, config: RunConfig, steps: int, policy: Policy, see
     return longest
 
 
-class _Pushed:
-    """Around a policy: the stick is pushed where it is not the user's own; `seen` is what it saw in this episode."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _RecordedRide:
+    """Consecutive ticks of one episode."""
+
+    seen: tuple[Observation, ...]
+    actions: tuple[int, ...]  # that the recorded driver chose
+    delay_ticks: int  # from a command to the chair that obeys it
+
+
+def read_ride_header(path: Path) -> Header:
+    """The header of a drive, a journal, or the run folder with one. Raises JournalError."""
+    return read_header(_recording_file(path))
+
+
+def recorded_ride(path: Path, steps: int, seat: int = 0) -> _RecordedRide:
+    """The first episode of a seat in a recording, with `steps` ticks at most.
+
+    Args:
+        path: A drive, a journal, or the run folder with one.
+        steps: The most ticks.
+        seat: Of a journal.
+
+    Raises:
+        TownError: Its town is missing, or has changed.
+        ConfigError: Its settings cannot be used here, or the seat has no tick.
+        JournalError: It is no recording, or damaged.
+    """
+    path = _recording_file(path)
+    log = log_of(path)
+    reader = _EpisodeReader(config_of(read_header(path)), seat, steps)
+    with closing(replayed(log, before=reader.read)) as records:
+        for _ in records:
+            if reader.ended:
+                break
+    if not reader.seen:
+        raise ConfigError(f"{escape(path)}: seat {seat} has no tick; expected another --seat")
+    return _RecordedRide(
+        seen=tuple(reader.seen), actions=tuple(reader.actions), delay_ticks=reader.delay_ticks
+    )
+
+
+class _PushedAgent:
+    """A policy whose stick is pushed; `seen` is what it observed in this episode."""
 
     def __init__(self, policy: Policy, pushes: F32) -> None:
+        """`pushes`: (N, 2) the stick at each step, NaN where it is the user's own."""
         self.seen: list[Observation] = []
         self._policy, self._pushes = policy, pushes
 
     def reset(self, info: Info) -> None:
-        """Begin an episode; the policy reckons with the configured delay, as its export does."""
+        """Start an episode; the policy assumes the configured delay, as its export does."""
         self.seen = []
         self._policy.reset()
 
     def act(self, observation: Observation, info: Info) -> int:
-        """Ask the policy."""
+        """The policy's action."""
         push = self._pushes[len(self.seen)]
-        self.seen.append(observation if np.isnan(push).any() else {**observation, JOYSTICK_KEY: push})
-        return self._policy.act(self.seen[-1])
+        if not np.isnan(push).any():
+            observation = {**observation, JOYSTICK_KEY: push}
+        self.seen.append(observation)
+        return self._policy.act(observation)
 
 
-def _pushed_sticks(steps: int, seed: int) -> F32:
-    """The stick at each step, (steps, 2) in -1..1; NaN where it is the user's own."""
-    angles_rad = seeding.make_rng(seed, "pushes").uniform(-_WIDEST_RAD, _WIDEST_RAD, steps // PUSH_TICKS + 1)
-    rows = [
-        (math.sin(angles_rad[step // PUSH_TICKS]), math.cos(angles_rad[step // PUSH_TICKS]))
-        if step // PUSH_TICKS % 2
-        else (math.nan, math.nan)
-        for step in range(steps)
-    ]
-    return np.array(rows, np.float32)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _RecordedRide:
-    """Successive ticks of one episode."""
-
-    seen: tuple[Observation, ...]
-    actions: tuple[int, ...]  # what the policy of then chose in each, whichever it was
-    delay_ticks: int  # from a command to the chair that obeys it
-
-
-def header_of(path: Path) -> Header:
-    """What a recording says of itself: of a drive, a journal, or the run folder with one. Raises JournalError."""
-    return read_header(_file_of(path))
-
-
-def recorded_ride(path: Path, steps: int, seat: int = 0) -> _RecordedRide:
-    """The first episode of a recording, so many steps at the most.
+class _EpisodeReader:
+    """Collects the observations and actions of a seat's first episode.
 
     Args:
-        path: A drive, a journal, or the run folder with one.
-        steps: The most.
-        seat: Of a journal.
-
-    Raises:
-        TownError: Its town is gone, or is not what it was.
-        ConfigError: Its settings cannot be used here, or that seat drove nowhere.
-        JournalError: It is neither, or damaged.
+        config: Of the recorded world.
+        seat: Which seat.
+        steps: The most ticks.
     """
-    path = _file_of(path)
-    watch = _SeatWatch(log_of(path), config_of(read_header(path)), seat, steps)
-    with closing(replayed(watch.log, before=watch.look)) as records:
-        for _ in records:
-            if watch.over:
-                break
-    if not watch.seen:
-        raise ConfigError(f"{escape(path)}: seat {seat} has no tick; expected another --seat")
-    delay = watch.delays[0]  # that of the episode
-    return _RecordedRide(seen=tuple(watch.seen), actions=tuple(watch.actions), delay_ticks=delay)
 
-
-def _file_of(path: Path) -> Path:
-    return path / JOURNAL if path.is_dir() else path
-
-
-class _SeatWatch:
-    """Keeps what one seat sees and is given in its first episode."""
-
-    def __init__(self, log: Log, config: RunConfig, seat: int, steps: int) -> None:
-        self.log, self._config, self._seat, self._steps = log, config, seat, steps
-        self._points = action_set(config.env.actions)
+    def __init__(self, config: RunConfig, seat: int, steps: int) -> None:
+        self._config, self._seat, self._steps = config, seat, steps
+        self._positions = action_set(config.env.actions)
         self.seen: list[Observation] = []
         self.actions: list[int] = []
-        self.delays: list[int] = []
-        self.over = False
+        self.delay_ticks = 0
+        self.ended = False
 
-    def look(self, world: World | None, record: Input) -> None:
-        """Is shown the world before each record."""
+    def read(self, world: World | None, record: Input) -> None:
+        """Take in a record, with the world before it, until the episode has ended."""
+        started = bool(self.actions)
         if world is None or not isinstance(record, WorldTick):
-            self.over = self.over or (bool(self.actions) and self._leaves(record))
+            leaves = isinstance(record, Respawned | Dismissed) and record.seat == self._seat
+            self.ended = started and leaves
             return
-        given = next((each.joystick for each in record.commands if each.seat == self._seat), None)
+        stick = next((each.joystick for each in record.commands if each.seat == self._seat), None)
         client = next((each for each in world.snapshot.clients if each.seat == self._seat), None)
-        if given is None or client is None:
-            self.over = self.over or bool(self.actions)
+        if stick is None or client is None:
+            self.ended = started
             return
-        self.over = self.over or len(self.actions) == self._steps or (client.first is not None and bool(self.actions))
-        if not self.over:
-            self._keep(client.first or client, given, record)
+        if len(self.actions) == self._steps or (started and client.first is not None):
+            self.ended = True
+            return
 
-    def _leaves(self, record: Input) -> bool:
-        return isinstance(record, Respawned | Dismissed) and record.seat == self._seat
-
-    def _keep(self, client: ClientSnapshot, given: Joystick, record: WorldTick) -> None:
-        seen, action = make_observation(client, self._config), self._points.nearest((given.x, given.y))
+        frame = client.first or client
+        seen = make_observation(frame, self._config)
+        action = self._positions.nearest((stick.x, stick.y))
+        # A drive also has the stick that the policy answered, and the policy's own choice.
         if isinstance(record, DriveTick):
             seen = {**seen, JOYSTICK_KEY: np.array([record.stick.x, record.stick.y], np.float32)}
             action = record.action
+        if not started:
+            self.delay_ticks = find_episode_delay_ticks(self._config, frame.drawn)
         self.seen.append(seen)
         self.actions.append(action)
-        self.delays.append(find_episode_delay_ticks(self._config, client.drawn))
+
+
+def _recording_file(path: Path) -> Path:
+    return path / JOURNAL if path.is_dir() else path

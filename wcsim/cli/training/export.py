@@ -175,7 +175,7 @@ def _ride(
 ) -> tuple[tuple[str, ...], Sequence[Observation], tuple[int, ...] | None, str]:
     """The reference ride: delay and observations; of a recording also its actions and policy."""
     from wcsim.agents.export.export_folder import require_matching_recording
-    from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride, reference_ride
+    from wcsim.agents.rounds.recorded_ride import read_ride_header, recorded_ride, reference_ride
     from wcsim.bridge.replay.replayed import config_of
 
     delay = _delay(options.delay_ticks)
@@ -186,7 +186,7 @@ def _ride(
             None,
             "",
         )
-    header = header_of(options.ride)
+    header = read_ride_header(options.ride)
     require_matching_recording(
         config_of(header), own, options.ride, options.policy
     )  # before its world is made again
