@@ -10,8 +10,7 @@ from torch.nn import functional
 
 from tests.agents.danger.sights import a_segment, lessons_of, small_config
 from tests.agents.danger.toy_rides import ACTIONS, astray, follow, ride, segment_of, toy_config
-from wcsim.agents.danger import dataset as dataset_module
-from wcsim.agents.danger.dataset import UNKNOWN, Dataset, _happened, _returns
+from wcsim.agents.danger.dataset import UNKNOWN, Dataset, _label_by_crashes, _label_by_returns
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.runs.data_folder import ORACLE, join_segments
@@ -42,7 +41,7 @@ def driven(sticks, *, delay=0, crashed=False, own=True):
 
 def told(sticks, tick_s=TICK_S, **how):
     """The label of each executed position."""
-    labels = _happened(driven(sticks, **how), ACTIONS, AHEAD, tick_s)
+    labels = _label_by_crashes(driven(sticks, **how), ACTIONS, AHEAD, tick_s)
     return "".join("01?"[label] for label in labels[np.arange(len(sticks)), sticks])
 
 
@@ -62,7 +61,7 @@ def test_nobody_knows_what_follows_a_cut_or_would_have_come_without_the_others()
 
 
 def test_positions_beside_the_executed_one_share_its_label_and_all_others_have_none():
-    labels = _happened(driven([REST] * 20, crashed=True), ACTIONS, AHEAD, TICK_S)
+    labels = _label_by_crashes(driven([REST] * 20, crashed=True), ACTIONS, AHEAD, TICK_S)
     near = np.abs(ACTIONS.points).sum(axis=1) <= 0.25
     assert near.sum() == 5 and (labels[-1, near] == 1).all() and (labels[0, near] == 0).all()
     assert (labels[:, ~near] == UNKNOWN).all()
@@ -79,7 +78,7 @@ episodes = st.lists(
 @given(episodes, st.integers(0, 3), st.integers(0, 2**32 - 1))
 def test_an_episode_is_judged_by_itself_and_neither_wish_nor_driver_nor_oracle_counts(found, delay, seed):
     parts = [driven(sticks, delay=delay, crashed=crashed) for sticks, crashed in found]
-    alone = [_happened(part, ACTIONS, AHEAD, TICK_S) for part in parts]
+    alone = [_label_by_crashes(part, ACTIONS, AHEAD, TICK_S) for part in parts]
     rng, whole = np.random.default_rng(seed), join_segments(parts)
     other = replace(
         whole,
@@ -88,7 +87,7 @@ def test_an_episode_is_judged_by_itself_and_neither_wish_nor_driver_nor_oracle_c
         truth=rng.integers(0, 256, (len(whole), 81)).astype(np.uint8),
     )
     for segment in (whole, other):
-        assert np.array_equal(_happened(segment, ACTIONS, AHEAD, TICK_S), np.concatenate(alone))
+        assert np.array_equal(_label_by_crashes(segment, ACTIONS, AHEAD, TICK_S), np.concatenate(alone))
 
 
 def test_returns_are_what_table_2_took_but_for_the_distance_of_sticks():
@@ -97,11 +96,11 @@ def test_returns_are_what_table_2_took_but_for_the_distance_of_sticks():
     points = ACTIONS.points[segment.action]
     paid = reward_of_distance(np.minimum(np.linalg.norm(points - segment.stick, axis=1), reward.max_distance), reward)
     calm = paid - np.where(segment.crashed, reward.crash, 0.0)
-    share = _returns(replace(segment, reward=calm.astype(np.float32)), ACTIONS, reward)[:, AHEAD_STICK]
+    share = _label_by_returns(replace(segment, reward=calm.astype(np.float32)), ACTIONS, reward)[:, AHEAD_STICK]
     assert np.allclose(share, 0.9 ** np.arange(39, -1, -1), atol=1e-5)
-    cut = _returns(replace(driven(held), reward=paid.astype(np.float32)), ACTIONS, reward)[:, AHEAD_STICK]
+    cut = _label_by_returns(replace(driven(held), reward=paid.astype(np.float32)), ACTIONS, reward)[:, AHEAD_STICK]
     assert np.allclose(cut[:20], 0.0, atol=1e-6) and (cut[20:] == UNKNOWN).all(), "nobody knows what follows a cut"
-    assert (_returns(segment, ACTIONS, reward)[:, LEFT] == UNKNOWN).all()
+    assert (_label_by_returns(segment, ACTIONS, reward)[:, LEFT] == UNKNOWN).all()
 
 
 def test_what_the_oracle_drove_and_data_without_labels_are_refused():
@@ -174,7 +173,8 @@ def test_labels_of_what_happened_agree_with_the_street(rides):
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_planted_fault_in_labels_is_found_out(fault, rides, monkeypatch):
     monkeypatch.setattr(
-        dataset_module, "_happened", lambda of, *more: FAULTS[fault](of, lambda segment: _happened(segment, *more))
+        "wcsim.agents.danger.dataset._label_by_crashes",
+        lambda of, *more: FAULTS[fault](of, lambda segment: _label_by_crashes(segment, *more)),
     )
     assert not agrees(agreement(rides)), agreement(rides)
 

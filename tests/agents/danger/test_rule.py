@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tests.support.samples import ACTIONS
-from wcsim.agents.danger.policy import RECENT_TICKS, _choose, _next_recent, _within
+from wcsim.agents.danger.policy import RECENT_TICKS, _choose, _mask_safe_actions, _next_recent
 from wcsim.config.run_file import DangerRuleSettings, StickValue
 
 RULE = DangerRuleSettings()
@@ -85,7 +85,7 @@ def taken_of(dangers: list[float], rule: DangerRuleSettings, others: float = 0.0
         danger = np.full(81, others)
         danger[wish] = level
         found.append(_choose(danger, ACTIONS.points[wish], ACTIONS, rule, recent=recent > 0) != wish)
-        recent = _next_recent(recent, not _within(danger, rule)[wish], level, rule)
+        recent = _next_recent(recent, not _mask_safe_actions(danger, rule)[wish], level, rule)
     return found
 
 

@@ -7,7 +7,7 @@ import torch
 from tests.support.samples import ACTIONS
 from wcsim.agents.danger.dataset import to_tensors
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.policy import DangerPolicy, _choose, _next_recent, _within
+from wcsim.agents.danger.policy import DangerPolicy, _choose, _mask_safe_actions, _next_recent
 from wcsim.agents.danger.street_map import FeatureExtractor
 from wcsim.agents.export.policy_graphs import DangerPolicyGraph, TorchDriveModel
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
@@ -144,7 +144,7 @@ def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
         told = torch.as_tensor(danger)[None], torch.as_tensor(stick)[None], torch.tensor([[last + 1.0]])
         values, later = graph._choose(*told, torch.tensor([[float(recent)]]))
         assert int(values.argmax()) == chosen[-1]
-        unsafe = not _within(exact, rule, last, taken)[own]
+        unsafe = not _mask_safe_actions(exact, rule, last, taken)[own]
         assert float(later[0, 0]) == _next_recent(recent, unsafe, float(exact[own]), rule)
         doubtful += chosen[-1] == own and 0.2 < danger[own] < 0.5 and last != own
         beyond += float(np.linalg.norm(ACTIONS.points[chosen[-1]] - stick)) > MAX_DISTANCE

@@ -1,1 +1,1 @@
-"""Danger: a network that says of every joystick position whether it ends badly, whatever the user wishes."""
+"""The danger network: which joystick positions end badly, whatever the user wants to do."""

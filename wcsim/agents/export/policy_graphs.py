@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from wcsim.agents.danger import street_map
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.policy import GIVES_BACK, LESS_M, RECENT_TICKS
+from wcsim.agents.danger.policy import DANGER_PER_DISTANCE, GIVES_BACK, RECENT_TICKS
 from wcsim.agents.networks.encoder import image_size_from_space
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.perception.alarm import CALM, NEWEST, TWO_TICKS
@@ -346,7 +346,7 @@ class DangerPolicyGraph(nn.Module):
     def _write_cells(
         self, depths: Sequence[Tensor], segs: Sequence[Tensor], motion: Tensor, cells: Tensor
     ) -> Tensor:
-        """Repeats `street_map._write`: scattered maxima take the place of its loop over pixels."""
+        """Repeats `street_map._write_cells`: scattered maxima replace its loop over pixels."""
         tick = motion[:, _NOW]
         # 1. Which pixels are used, and in which cell of O each is.
         codes = self._sampled(depths)
@@ -398,7 +398,7 @@ class DangerPolicyGraph(nn.Module):
         ]
 
     def _read_cells(self, motion: Tensor, cells: Tensor) -> Tensor:
-        """Repeats `street_map._read`: (PLANES, SIDE, SIDE) in 0..255."""
+        """Repeats `street_map._read_cells`: (PLANES, SIDE, SIDE) in 0..255."""
         ix, iy = _cells_in_O(motion, self.cells_B[:, 0], self.cells_B[:, 1])
         found = cells[0].index_select(1, _wrapped(ix, iy, street_map.RASTER).to(torch.int64))
         known = (found[_TICK] > 0.0) & (found[_KEY] == _wrapped(ix, iy, _KEY_SIDE))
@@ -441,7 +441,7 @@ class DangerPolicyGraph(nn.Module):
         return found.transpose(0, 1).reshape(1, len(self.commands), -1).to(torch.int64)
 
     def _choose(self, danger: Tensor, joystick: Tensor, last: Tensor, recent: Tensor) -> Pair:
-        """Repeats `policy._choose`, `_within` and `_next_recent`.
+        """Repeats `policy._choose`, `_mask_safe_actions` and `_next_recent`.
 
         A graph has no early return, so the branches of the rule become values (1, A), whose highest
         is that of the chosen action.
@@ -455,7 +455,7 @@ class DangerPolicyGraph(nn.Module):
         is_last = (numbers == last).to(danger.dtype)
         cost = distance + rule.danger_cost * danger / rule.threshold - rule.hysteresis * is_last
         own = numbers == distance.argmin(dim=1, keepdim=True) + 1
-        # 2. Which actions are safe enough, as `_within`.
+        # 2. Which actions are safe enough, as `_mask_safe_actions`.
         taken = ((recent > 1.5) & own & (numbers != last)).to(danger.dtype)
         limit = (
             rule.threshold
@@ -476,7 +476,7 @@ class DangerPolicyGraph(nn.Module):
         allowed = allowed | (own & doubtful)
         nothing = ~allowed.any(dim=1, keepdim=True)
         cost = torch.where(allowed, cost, torch.full_like(cost, 1e6))
-        return -torch.where(nothing, danger + LESS_M * distance, cost), later
+        return -torch.where(nothing, danger + DANGER_PER_DISTANCE * distance, cost), later
 
 
 class ValuePolicyGraph(nn.Module):
@@ -575,7 +575,7 @@ def _height_code(height_m: Tensor) -> Tensor:
 
 
 def _picture_cells_B() -> np.ndarray:
-    """(SIDE * SIDE, 2) middles of the picture's cells in B, in the order of `street_map._read`."""
+    """(SIDE * SIDE, 2) middles of the picture's cells in B, in the order of its pixels."""
     rows, columns = np.meshgrid(
         np.arange(street_map.SIDE), np.arange(street_map.SIDE), indexing="ij"
     )
