@@ -11,7 +11,8 @@ wait are driven first.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -49,6 +50,16 @@ _REACH_M: Final = 4.0
 _ROLL_OUT_S: Final = 2.5
 _FASTEST_MPS: Final = 5.0  # of any chair
 _FAR_M: Final = 25.5
+
+
+class OracleRequest(NamedTuple):
+    """What an oracle was asked in a tick, see `CrashOracle.assess`."""
+
+    plant: PlantState
+    known: Sequence[ActorState]
+    ids: frozenset[str]  # of all others
+    waiting: Sequence[Joystick]
+    accel_mps2: float
 
 
 class CrashOracle:
@@ -130,6 +141,29 @@ class CrashOracle:
             visible=visible,
             intent=joystick,
             progress_m=0.0,
+        )
+
+    def reassess(
+        self, request: OracleRequest, later: Mapping[str, ActorState], after_s: float
+    ) -> F64:
+        """(A,) when each action would have gone wrong, seconds, as the others did go on.
+
+        Args:
+            request: Of an earlier tick.
+            later: The actors `after_s` later, by their id. Who is new among them, such as a door
+                that was opened, counts as if it had been there.
+            after_s: Above 0.
+        """
+        moved = [
+            replace(actor, v_W_mps=(later[actor.id].p_W_m - actor.p_W_m) / after_s)
+            if actor.id in later
+            else actor
+            for actor in request.known
+        ]
+        new = [actor for name, actor in later.items() if name not in request.ids]
+        others = self._near(request.plant, [*moved, *new], len(request.waiting) * self._tick_s)
+        return self._roll_out(
+            request.plant, self._commands, others, request.waiting, request.accel_mps2
         )
 
     def _verdict(

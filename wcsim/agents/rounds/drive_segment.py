@@ -44,6 +44,7 @@ from wcsim.agents.runs.data_folder import (
     crash_times_to_codes,
     join_segments,
 )
+from wcsim.bridge.ego.ego import Ego
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CollectConfig, RunConfig, resolve
@@ -52,6 +53,7 @@ from wcsim.core.reading import escape
 from wcsim.core.seeding import derive_seed, make_rng
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.supervisor.oracle import OracleRequest
 from wcsim.supervisor.rewards import judge_crash_fault
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
@@ -66,6 +68,7 @@ _PUSH_Y, _PUSH_SPREAD = 0.9, 0.2  # mean and standard deviation of the stick tha
 _RECKLESS_SHARE = 0.4  # of the random offsets: the stick is executed as it is
 _SCENE_SEEDS: Final = 1 << 24  # first seed of scenes for training; those for tests are far below
 _SCENES: Final = 12  # in a segment
+HINDSIGHT_TICKS: Final = 10  # after which it is seen how others went on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -302,15 +305,27 @@ def _drive_world(
                 make_network,
                 make_rng(seed, "collect", number),
                 number < setup.off_way,
+                world.seats[number],
             )
             for number, client in enumerate(world.snapshot.clients)
         ]
+        actors = [world.snapshot.actors]
         steps = rollout(world, {number: seat.driver.choose for number, seat in enumerate(seats)})
         for step in islice(steps, setup.ticks):
+            actors.append(step.after.actors)
             for number, (seat, client) in enumerate(zip(seats, step.after.clients, strict=True)):
                 seat.record(client)
                 if client.first is not None and number < setup.off_way:
                     _start_off_way(world, number, start_rngs[number])
+        # The oracle supposes that others go on as they do. What they did instead counts, too.
+        names = [{actor.id: actor for actor in now} for now in actors]
+        for seat in seats if oracle else ():
+            for tick, (row, request) in enumerate(zip(seat.rows, seat.requests, strict=True)):
+                ticks = min(HINDSIGHT_TICKS, len(names) - 1 - tick)
+                first_s = seat.ego.oracle.reassess(
+                    request, names[tick + ticks], ticks * setup.config.world.tick_s
+                )
+                row["visible"] = np.minimum(row["visible"], crash_times_to_codes(first_s))
     for seat in seats:
         # The world ends here: what would have followed is unknown.
         seat.rows[-1]["ended"] = True
@@ -416,8 +431,11 @@ class _SeatRecorder:
         make_network: _MakeNetwork | None,
         rng: np.random.Generator,
         pushed: bool,
+        ego: Ego,
     ) -> None:
         self.rows: list[dict[str, Any]] = []  # by column of a segment
+        self.requests: list[OracleRequest] = []  # of each row
+        self.ego = ego
         self._config, self._rng, self._pushed = config, rng, pushed
         self._make_network = make_network
         self._actions = action_set(config.env.actions)
@@ -437,6 +455,8 @@ class _SeatRecorder:
     def act(self, observation: Observation, info: Info) -> int:
         """The action for an observation."""
         truth: Truth | None = info[OBJECTS].truth
+        if truth is not None:
+            self.requests.append(self.ego.request)
         self._choice = self._agent.choose(observation, truth and (truth.visible or truth))
         return int(self._choice["action"])
 
