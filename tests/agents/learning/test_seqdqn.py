@@ -49,18 +49,31 @@ def perturb(learner):
         p.data += 0.05 * torch.randn_like(p)
 
 
+@pytest.mark.parametrize("head", ["plain", "residual"])
 @pytest.mark.parametrize("double_q", [True, False])
-def test_targets_by_hand(double_q):
-    learner, data = model(double_q=double_q), batch()
+def test_targets_by_hand(double_q, head):
+    learner, data = model(double_q=double_q, head=head), batch()
     perturb(learner)
     with torch.no_grad():
         online = learner.q_net(data.next_observations).numpy()
         target = learner.q_net_target(data.next_observations).numpy()
     picks = online.argmax(axis=1) if double_q else target.argmax(axis=1)
+    if head == "residual":
+        target = target - learner.q_net.follow_reward(data.next_observations["joystick"]).numpy()
     for k in range(6):
         value = 0.05 * float(data.rewards[k])
         value += (1 - float(data.dones[k])) * float(data.discounts[k]) * target[k, picks[k]]
         assert float(learner.targets(data)[k]) == pytest.approx(value, abs=1e-5)
+
+
+@pytest.mark.parametrize("head", ["plain", "residual"])
+def test_what_following_pays_is_known_and_so_the_rest_alone_is_learned_from(head):
+    learner = model(head=head, phase1_steps=0, epsilon_start=0.5)
+    learner.learn(200)
+    rest = learner.replay_buffer.rewards[:200]
+    crashed = rest < -90.0
+    assert crashed.any()
+    assert np.allclose(rest[~crashed], 0.0, atol=1e-5) == (head == "residual")
 
 
 def test_margin_loss_by_hand_and_zero_when_the_user_wins_clearly():

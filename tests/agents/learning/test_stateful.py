@@ -192,7 +192,7 @@ def test_targets_by_hand():
     with torch.no_grad():
         online, target = _group_values(learner.q_net, batch), _group_values(learner.q_net_target, batch)
     for double_q in (True, False):
-        found = _group_targets(online, target, batch, 0.05, double_q)
+        found = _group_targets(online if double_q else target, target, batch, 0.05)
         for k, t in batch.live.nonzero().tolist()[::7]:
             after = int(batch.after[k, t])
             pick = int((online if double_q else target)[k, after].argmax())

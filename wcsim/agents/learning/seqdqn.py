@@ -201,7 +201,16 @@ class SeqDQN(DQN):
         return self.policy.predict(observation, deterministic=True)[0]
 
     def _store_transition(self, replay_buffer: ReplayBuffer, *step: Any) -> None:
-        """Store a step and the state before it; seats whose episode ended lose their state."""
+        """Store a step and the state before it; seats whose episode ended lose their state.
+
+        Of a head that knows what following pays, the rest of the reward is stored.
+        """
+        if self.q_net.spec.head == "residual":
+            actions, new, rewards, *others = step
+            sticks = torch.as_tensor(self._last_obs[JOYSTICK_KEY], device=self.device)
+            known = self.q_net.follow_reward(sticks).cpu().numpy() / self.settings.reward_scale
+            paid = known[np.arange(len(known)), np.asarray(actions).reshape(-1)]
+            step = actions, new, rewards - paid, *others
         groups = self.replay_buffer.groups
         if groups is not None and self._carried is not None:
             groups.next_states = self._carried[0]
@@ -307,7 +316,8 @@ class SeqDQN(DQN):
         target = self.targets(batch)
         values = self.q_net(batch.observations)
         self.max_abs_q = float(values.detach().abs().max())
-        chosen = values.gather(1, batch.actions.long())
+        learned = self.q_net.learned(values, batch.observations)
+        chosen = learned.gather(1, batch.actions.long())
         loss = functional.smooth_l1_loss(chosen, target)
         if margin > 0.0:
             loss = loss + margin * self.supervised_loss(values, batch.observations)
@@ -318,7 +328,8 @@ class SeqDQN(DQN):
         """Scaled n-step returns plus the discounted value after them, (B, 1)."""
         after = self.q_net_target(batch.next_observations)
         chooser = self.q_net(batch.next_observations) if self.settings.double_q else after
-        value = after.gather(1, chooser.argmax(dim=1, keepdim=True))
+        learned = self.q_net.learned(after, batch.next_observations)
+        value = learned.gather(1, chooser.argmax(dim=1, keepdim=True))
         discounts = self.gamma if batch.discounts is None else batch.discounts
         return torch.as_tensor(
             self.settings.reward_scale * batch.rewards + (1.0 - batch.dones) * discounts * value
@@ -418,11 +429,14 @@ def _sequence_loss(
     online = _group_values(nets[0], batch)
     with torch.no_grad():
         target = _group_values(nets[1], batch)
-    goals = _group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
+        judge = online if double_q else target
+        rest = nets[1].learned(target, batch.observations)
+        goals = _group_targets(judge, rest, batch, reward_scale)[batch.live]
     length = batch.live.shape[1]
     live = batch.live[:, : online.shape[1]]
     values = online[:, :length][live]  # (N, A)
-    chosen = values.gather(1, batch.actions[batch.live][:, None])[:, 0]
+    learned = nets[0].learned(online, batch.observations)[:, :length][live]
+    chosen = learned.gather(1, batch.actions[batch.live][:, None])[:, 0]
     loss = functional.smooth_l1_loss(chosen, goals)
     if supervised is not None:
         sticks = batch.observations[JOYSTICK_KEY][:, :length][live]
@@ -444,19 +458,13 @@ def _burned_in(net: QNet, batch: SequenceBatch) -> Tensor:
     return states
 
 
-@torch.no_grad()
 def _group_targets(
-    online: Tensor,
-    target: Tensor,
-    batch: SequenceBatch,
-    reward_scale: float,
-    double_q: bool,
+    judge: Tensor, target: Tensor, batch: SequenceBatch, reward_scale: float
 ) -> Tensor:
     """Scaled n-step returns plus the discounted value after them, (K, L).
 
-    Both networks' values are (K, P, A).
+    Both are (K, P, A): values that choose an action, and the target network's of it.
     """
-    judge = online if double_q else target
     best = target.gather(2, judge.argmax(dim=2, keepdim=True))[..., 0]  # (K, P)
     value = best.gather(1, batch.after)
     return reward_scale * batch.returns + (1.0 - batch.terminated) * batch.discounts * value

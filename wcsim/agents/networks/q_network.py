@@ -27,7 +27,8 @@ States = tuple[Array, ...]
 class QNet(BasePolicy):
     """Values of all actions.
 
-    With head `residual`: Q(s, a) = scaled follow reward(joystick, a) + F(s, a).
+    With head `residual`: Q(s, a) = scaled follow reward(joystick, a) + F(s, a). What following
+    pays is known of every action. So F is learned from the rest of the reward alone.
     """
 
     def __init__(
@@ -89,6 +90,13 @@ class QNet(BasePolicy):
         if self.spec.head == "residual":
             q = q + self.follow_reward(observations[JOYSTICK_KEY])
         return torch.as_tensor(q)
+
+    def learned(self, values: Tensor, observations: Tensors) -> Tensor:
+        """The part of values (..., A) that is learned: all, or F."""
+        if self.spec.head != "residual":
+            return values
+        joysticks_xy = observations[JOYSTICK_KEY].reshape(-1, 2)
+        return values - self.follow_reward(joysticks_xy).view_as(values)
 
     def distances(self, joysticks_xy: Tensor) -> Tensor:
         """Joystick distance of every action, (B, 2) -> (B, A)."""
