@@ -239,7 +239,7 @@ class _DangerRounds(Learner):
         source = "the oracle's labels, not rewards"
         if config.danger.teacher in BY_EVENTS:
             drivers = "simulated users and the network drive"
-            source = f"{config.danger.teacher}, without an oracle"
+            source = f"{BY_EVENTS[config.danger.teacher]}, without an oracle"
         return (
             f"{pluralize(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks "
             f"with {collect.chairs} "

@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -38,7 +39,10 @@ DRIVERS: Final = ("follow", "oracle", "network", "reckless")
 SAFE: Final = 255
 STEP_S: Final = 0.05
 
-BY_EVENTS: Final = ("crashes", "returns")  # teachers that need no oracle
+# Teachers that need no oracle, and what is learned from them.
+BY_EVENTS: Final = MappingProxyType(
+    {"crashes": "crashes that happened", "returns": "rewards that followed"}
+)
 
 MANIFEST: Final = "data.json"
 # The data folder of a run.
