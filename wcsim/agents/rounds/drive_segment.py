@@ -68,7 +68,7 @@ _PUSH_Y, _PUSH_SPREAD = 0.9, 0.2  # mean and standard deviation of the stick tha
 _RECKLESS_SHARE = 0.4  # of the random offsets: the stick is executed as it is
 _SCENE_SEEDS: Final = 1 << 24  # first seed of scenes for training; those for tests are far below
 _SCENES: Final = 12  # in a segment
-HINDSIGHT_TICKS: Final = 10  # after which it is seen how others went on
+HINDSIGHT_TICKS: Final = (10, 20)  # after which it is seen how others went on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -321,11 +321,12 @@ def _drive_world(
         names = [{actor.id: actor for actor in now} for now in actors]
         for seat in seats if oracle else ():
             for tick, (row, request) in enumerate(zip(seat.rows, seat.requests, strict=True)):
-                ticks = min(HINDSIGHT_TICKS, len(names) - 1 - tick)
-                first_s = seat.ego.oracle.reassess(
-                    request, names[tick + ticks], ticks * setup.config.world.tick_s
-                )
-                row["visible"] = np.minimum(row["visible"], crash_times_to_codes(first_s))
+                for after in HINDSIGHT_TICKS:
+                    ticks = min(after, len(names) - 1 - tick)
+                    first_s = seat.ego.oracle.reassess(
+                        request, names[tick + ticks], ticks * setup.config.world.tick_s
+                    )
+                    row["visible"] = np.minimum(row["visible"], crash_times_to_codes(first_s))
     for seat in seats:
         # The world ends here: what would have followed is unknown.
         seat.rows[-1]["ended"] = True
