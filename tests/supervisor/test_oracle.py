@@ -13,7 +13,7 @@ from tests.users.kinematics import TICK_S, Chair, Sim, plant, polyline
 from wcsim.config import ChairConfig
 from wcsim.core.frames import quaternion_from_ypr
 from wcsim.core.joystick import shape_joysticks
-from wcsim.supervisor.oracle import CrashOracle, OracleRequest
+from wcsim.supervisor.oracle import CrashOracle
 from wcsim.types import ActorKind, Joystick, StreetGrid
 from wcsim.types.street import AT_EDGE
 
@@ -266,17 +266,17 @@ def test_a_wall_is_passed_with_a_margin_and_who_is_nearer_may_leave():
 def test_in_hindsight_it_knows_who_cut_in_and_what_appeared():
     chair = plant(5.0, 5.5, 0.0, 1.3)
     beside, ahead = (replace(walker(x, y), kind=ActorKind.BICYCLE) for x, y in ((6.4, 7.2), (7.4, 5.8)))
-    request = OracleRequest(chair, (beside,), frozenset({beside.id}), (), 0.0)
 
-    def first_s(*later):
-        return ORACLE.reassess(request, {other.id: other for other in later}, 1.0)[[ON, BACK]]
+    def first_s(*later, ids=frozenset({beside.id})):
+        named = {other.id: other for other in later}
+        return ORACLE.reassess(chair, (beside,), ids, (), 0.0, named, 1.0)[[ON, BACK]]
 
     assert np.isinf(first_s(beside)).all()
     assert np.isfinite(first_s(replace(ahead, id=beside.id))).tolist() == [True, False]
     door = replace(ahead, id="door")
     assert np.isfinite(first_s(beside, door)).tolist() == [True, False]
-    request = request._replace(ids=request.ids | {"door"})
-    assert np.isinf(first_s(beside, door)).all(), "it was there, and no camera had shown it"
+    both = {beside.id, door.id}
+    assert np.isinf(first_s(beside, door, ids=both)).all(), "it was there, and no camera had shown it"
 
 
 def test_casters_behind_feel_kerbs_too():

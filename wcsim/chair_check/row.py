@@ -1,11 +1,9 @@
 """A trial and its result: one row of a plant's table, and how it changes with the rate."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Final, Literal
+from typing import Final, Literal, Self
 
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.core.reading import read_module_toml
@@ -48,15 +46,15 @@ class TrialSetup:
         """Physics steps in a tick of 0.1 s."""
         return self.hz // 10
 
-    def at_speed(self, v_max_mps: float) -> TrialSetup:
+    def at_speed(self, v_max_mps: float) -> Self:
         """The same chair with another top speed."""
         return self._with(v_max_mps=v_max_mps, profile="custom")
 
-    def at_com_height(self, com_height_m: float) -> TrialSetup:
+    def at_com_height(self, com_height_m: float) -> Self:
         """The same chair with its centre of mass at another height."""
         return self._with(com_height_m=com_height_m)
 
-    def _with(self, **changed: float | str) -> TrialSetup:
+    def _with(self, **changed: float | str) -> Self:
         return replace(self, chair=self.chair.model_copy(update=changed))
 
 

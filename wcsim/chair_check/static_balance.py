@@ -6,14 +6,12 @@ on its springs. The chair does not slide: friction holds it in the plane of the 
 the height, pitch and roll of the frame are unknown.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
@@ -103,7 +101,7 @@ class StaticChair:
     com_m: Vec3
     feet: tuple[SupportFoot, ...]
 
-    def without(self, prefix: str) -> StaticChair:
+    def without(self, prefix: str) -> Self:
         """The same chair without the feet whose names begin so."""
         feet = tuple(foot for foot in self.feet if not foot.name.startswith(prefix))
         return replace(self, feet=feet)

@@ -1,7 +1,5 @@
 """Sections `[env]` and `[reward]`: episodes, what is seen, what is paid."""
 
-from __future__ import annotations
-
 from typing import Annotated, Final, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -65,7 +63,7 @@ class RewardConfig(FollowRewardConfig):
     drop: bool = True  # Whether a wheel that falls off a kerb is a crash. Not in the paper.
 
     @model_validator(mode="after")
-    def _windows_are_open(self) -> RewardConfig:
+    def _windows_are_open(self) -> Self:
         windows = (self.accel_window_mps2, self.roll_window_deg, self.pitch_window_deg)
         if any(high - low < LEAST_WINDOW for low, high in windows):
             raise ValueError("a window is empty; expected low < high")
@@ -95,7 +93,7 @@ class EnvConfig(Model):
     truth_visible: bool = False  # The same, limited to road users that the cameras showed recently.
 
     @model_validator(mode="after")
-    def _state_has_no_images(self) -> EnvConfig:
+    def _state_has_no_images(self) -> Self:
         if self.observation == "state" and self.frames > 1:
             raise ValueError(
                 f"window {self.window} with observation 'state', which has no images; expected "

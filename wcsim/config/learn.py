@@ -1,8 +1,6 @@
 """Sections `[learn]`, `[danger]` and `[collect]`: the learner, its danger head, and its data."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -101,7 +99,7 @@ class CollectConfig(Model):
     astray_ticks: Annotated[tuple[Count, Count], exclude_if((4, 12))] = (4, 12)
 
     @model_validator(mode="after")
-    def _can_be_held(self) -> CollectConfig:
+    def _can_be_held(self) -> Self:
         if self.astray_ticks[0] > self.astray_ticks[1]:
             raise ValueError(
                 f"collect.astray_ticks={list(self.astray_ticks)}; expected the shorter time first"
@@ -176,7 +174,7 @@ class LearnConfig(Model):
     episode_steps: EpisodeSteps = 1_000  # Longest episode in training.
 
     @model_validator(mode="after")
-    def _can_wait(self) -> LearnConfig:
+    def _can_wait(self) -> Self:
         if self.updates == "while_waiting" and self.head == "danger":
             raise ValueError(
                 "learn.updates=while_waiting with learn.head=danger; expected before_acting: only "

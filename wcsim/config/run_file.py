@@ -1,8 +1,6 @@
 """Files of runs and policies as frozen models: manifests, policies, checkpoints, recorded data."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
@@ -97,7 +95,7 @@ class QPolicyFile(Model):
     versions: Versions = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _has_an_imu(self) -> QPolicyFile:
+    def _has_an_imu(self) -> Self:
         if self.vector_size - sum(self.sensors.values()) < 3:
             raise ValueError(
                 f"vector_size {self.vector_size} with sensors {self.sensors}; expected 3 more than "
@@ -106,7 +104,7 @@ class QPolicyFile(Model):
         return self
 
     @model_validator(mode="after")
-    def _pictures_can_be_held(self) -> QPolicyFile:
+    def _pictures_can_be_held(self) -> Self:
         seen_px = self.image_hw_px[0] * self.image_hw_px[1] * self.window
         if seen_px > MAX_SEEN_PX:
             raise ValueError(
@@ -208,7 +206,7 @@ class RunManifestFile(Model):
     seal: MaybeSha256 = ""  # a hash over all of it, where `clients` is there
 
     @model_validator(mode="after")
-    def _clients_have_names_of_their_own(self) -> RunManifestFile:
+    def _clients_have_names_of_their_own(self) -> Self:
         if len(set(self.clients)) != len(self.clients):
             raise ValueError(
                 f"clients are named {list(self.clients)}; expected a different name for each"

@@ -1,9 +1,7 @@
 """`town.toml` of a town, and `scene.toml`: a short scene with a fixed seed and expected results."""
 
-from __future__ import annotations
-
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -60,7 +58,7 @@ class SceneSeat(Model):
     script: Annotated[tuple[ScriptStep, ...], Field(max_length=4096)] = ()
 
     @model_validator(mode="after")
-    def _is_driven_by_one(self) -> SceneSeat:
+    def _is_driven_by_one(self) -> Self:
         driven = [self.goal_m is not None, self.joystick is not None, bool(self.script)]
         if sum(driven) != 1:
             raise ValueError(
@@ -110,7 +108,7 @@ class SceneExpectations(Model):
     actors_seen: _Between = None  # Road users that came near a chair.
 
     @model_validator(mode="after")
-    def _windows_are_open(self) -> SceneExpectations:
+    def _windows_are_open(self) -> Self:
         for name in type(self).model_fields:
             window = getattr(self, name)
             if isinstance(window, tuple) and window[0] > window[1]:

@@ -1,9 +1,7 @@
 """A chair's sensors with their errors, as frozen models: cameras, the IMU and others."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -146,7 +144,7 @@ class CameraConfig(Model):
         return sensor_table_from_word("noise", noise)
 
     @model_validator(mode="after")
-    def _sees_something(self) -> CameraConfig:
+    def _sees_something(self) -> Self:
         depth = self.noise.depth if self.noise is not None else None
         nearest_m = self.near_m if depth is None else max(self.near_m, depth.z_min_m)
         if nearest_m >= self.range_m:

@@ -1,9 +1,7 @@
 """The file of a study with people on the drive's page: blocks, places and questions."""
 
-from __future__ import annotations
-
 from collections import Counter
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -37,7 +35,7 @@ class StudyPlace(Model):
     seat: _Number = 0
 
     @model_validator(mode="after")
-    def _is_one(self) -> StudyPlace:
+    def _is_one(self) -> Self:
         if bool(self.town) == bool(self.suite):
             raise ValueError(
                 "a place has either a town (with a seed) or a suite (with block and seat)"
@@ -61,7 +59,7 @@ class StudyBlock(Model):
     arrivals: _Arrivals | None = None  # over after so many already
 
     @model_validator(mode="after")
-    def _has_a_level_that_counts(self) -> StudyBlock:
+    def _has_a_level_that_counts(self) -> Self:
         if self.level is not None and not self.assistance:
             raise ValueError("a block without assistance has no level: remove one of the two")
         return self
@@ -87,7 +85,7 @@ class StudyQuestion(Model):
         return f"answer_{self.name}"
 
     @model_validator(mode="after")
-    def _fits_its_kind(self) -> StudyQuestion:
+    def _fits_its_kind(self) -> Self:
         expected = _ANSWERS[self.kind]
         given = [key for key in ("low", "high", "choices") if getattr(self, key)]
         if sorted(given) != sorted(expected) or (self.steps != _STEPS and self.kind != "scale"):
@@ -120,7 +118,7 @@ class StudyFile(Model):
     thanks: _StudyTexts = ()  # on the last page
 
     @model_validator(mode="after")
-    def _has_no_name_twice(self) -> StudyFile:
+    def _has_no_name_twice(self) -> Self:
         blocks = [*self.blocks, *([self.practice] if self.practice else [])]
         for what, names in (
             ("blocks", [block.name for block in blocks]),

@@ -1,9 +1,7 @@
 """Sections `[world]` and `[vary]`: clock, traffic, attention, and what varies by episode."""
 
-from __future__ import annotations
-
 import math
-from typing import Annotated, Any, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -132,7 +130,7 @@ class WorldConfig(Model):
     draw_threads: Annotated[int, within(0, 64)] = 0
 
     @model_validator(mode="after")
-    def _substep_is_sane(self) -> WorldConfig:
+    def _substep_is_sane(self) -> Self:
         # The rates at which a chair can be checked, 100 to 1000 Hz (`chair_check/row.py`).
         substep_s = self.tick_s / self.usual_substeps
         if not 1 / 1000 <= substep_s <= 1 / 100:
@@ -143,7 +141,7 @@ class WorldConfig(Model):
         return self
 
     @model_validator(mode="after")
-    def _tick_is_one_of_sumos(self) -> WorldConfig:
+    def _tick_is_one_of_sumos(self) -> Self:
         if not _is_whole(self.tick_s / SUMO_STEP_S):
             rounded_s = round(self.tick_s / SUMO_STEP_S) * SUMO_STEP_S
             raise ValueError(
@@ -153,7 +151,7 @@ class WorldConfig(Model):
         return self
 
     @model_validator(mode="after")
-    def _drivers_decide_in_ticks(self) -> WorldConfig:
+    def _drivers_decide_in_ticks(self) -> Self:
         ticks = 1.0 if self.action_step_s is None else self.action_step_s / self.tick_s
         if ticks < 1.0 - 1e-6 or not _is_whole(ticks):
             raise ValueError(

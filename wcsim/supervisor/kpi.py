@@ -5,10 +5,8 @@ lives. A chair that never moves wins KPI 2. So this counts, too, whether it gets
 crossings, crashes, and what it holds up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence, Set
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
@@ -73,7 +71,7 @@ class KpiTotals(NamedTuple):
 
     def plus(
         self, happened: Set[str], distance: float | None, speed_mps: float, steps: int | None = None
-    ) -> KpiTotals:
+    ) -> Self:
         """With one tick more.
 
         Args:
@@ -94,7 +92,7 @@ class KpiTotals(NamedTuple):
             **counts,
         )
 
-    def after_episode(self) -> KpiTotals:
+    def after_episode(self) -> Self:
         """After the episode's end, by a crash, its step limit, or the start of another one."""
         return self._replace(
             ended=self.ended + (self.steps > 0), ended_steps=self.ended_steps + self.steps, steps=0
@@ -112,7 +110,7 @@ class KpiStep(NamedTuple):
     at_m: tuple[float, float] | None  # W; None where it is not known
 
     @classmethod
-    def of(cls, info: Mapping[str, Any]) -> KpiStep:
+    def of(cls, info: Mapping[str, Any]) -> Self:
         """One step, from an environment's `info`."""
         objects = info["objects"]
         state, at_m = objects.state, None

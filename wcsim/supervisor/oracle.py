@@ -11,7 +11,7 @@ wait are driven first.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -50,16 +50,6 @@ _REACH_M: Final = 4.0
 _ROLL_OUT_S: Final = 2.5
 _FASTEST_MPS: Final = 5.0  # of any chair
 _FAR_M: Final = 25.5
-
-
-class OracleRequest(NamedTuple):
-    """What an oracle was asked in a tick, see `CrashOracle.assess`."""
-
-    plant: PlantState
-    known: Sequence[ActorState]
-    ids: frozenset[str]  # of all others
-    waiting: Sequence[Joystick]
-    accel_mps2: float
 
 
 class CrashOracle:
@@ -144,12 +134,23 @@ class CrashOracle:
         )
 
     def reassess(
-        self, request: OracleRequest, later: Mapping[str, ActorState], after_s: float
+        self,
+        plant: PlantState,
+        known: Sequence[ActorState],
+        ids: Set[str],
+        waiting: Sequence[Joystick],
+        accel_mps2: float,
+        later: Mapping[str, ActorState],
+        after_s: float,
     ) -> F64:
         """(A,) when each action would have gone wrong, seconds, as the others did go on.
 
         Args:
-            request: Of an earlier tick.
+            plant: Of an earlier tick, as `waiting` and `accel_mps2`, see `assess`.
+            known: The actors that counted then.
+            ids: Of all that were there then.
+            waiting: Commands that wait.
+            accel_mps2: Of the drive.
             later: The actors `after_s` later, by their id. Who is new among them, such as a door
                 that was opened, counts as if it had been there.
             after_s: Above 0.
@@ -158,13 +159,11 @@ class CrashOracle:
             replace(actor, v_W_mps=(later[actor.id].p_W_m - actor.p_W_m) / after_s)
             if actor.id in later
             else actor
-            for actor in request.known
+            for actor in known
         ]
-        new = [actor for name, actor in later.items() if name not in request.ids]
-        others = self._near(request.plant, [*moved, *new], len(request.waiting) * self._tick_s)
-        return self._roll_out(
-            request.plant, self._commands, others, request.waiting, request.accel_mps2
-        )
+        new = [actor for name, actor in later.items() if name not in ids]
+        others = self._near(plant, [*moved, *new], len(waiting) * self._tick_s)
+        return self._roll_out(plant, self._commands, others, waiting, accel_mps2)
 
     def _verdict(
         self,

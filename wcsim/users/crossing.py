@@ -1,7 +1,5 @@
 """Crossing a road: where the route does it, whether light and vehicles allow it, where to stop."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

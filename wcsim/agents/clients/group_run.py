@@ -11,8 +11,6 @@
   it is the test that chose, if one did
 """
 
-from __future__ import annotations
-
 import os
 import re
 import secrets
@@ -20,7 +18,7 @@ import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final, Self, TypeVar
 
 from wcsim.agents.runs.policy_file import parse_saved
 from wcsim.agents.runs.run_folder import (
@@ -144,7 +142,7 @@ class GroupRunFolder:
             [*self.path.glob(f"{JOURNAL}.torn*"), *(self.path / LEDGERS).glob("*.ledger.torn*")]
         )
 
-    def with_status(self, status: Status, steps: int) -> GroupRunFolder:
+    def with_status(self, status: Status, steps: int) -> Self:
         """Write a new status into the manifest."""
         folder = replace(self, manifest=replace(self.manifest, status=status, steps=steps))
         _write_manifest(folder)

@@ -5,13 +5,11 @@ a process did in the half second before it was killed is not in it, nor the last
 launcher that was.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from wcsim.agents.runs.run_folder import read_run_json
 from wcsim.core import files
@@ -37,10 +35,10 @@ class ClientTimeTotals:
         """Waiting in which nothing else was done."""
         return max(0.0, self.world_s + self.others_s - self.overlap_s)
 
-    def plus(self, now: ClientTimeTotals, before: ClientTimeTotals) -> ClientTimeTotals:
+    def plus(self, now: Self, before: Self) -> Self:
         """This, and what has been added from `before` to `now`, two readings of one life."""
         names = [each.name for each in fields(self)]
-        return ClientTimeTotals(
+        return type(self)(
             **{k: getattr(self, k) + getattr(now, k) - getattr(before, k) for k in names}
         )
 

@@ -5,14 +5,12 @@ agent observes and earns does not depend on the interface. `begin` takes the fir
 episode; then each step is a `command` and its `finish_step`.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
-from typing import Any, Final, NamedTuple, get_args
+from typing import Any, Final, NamedTuple, Self, get_args
 
 import numpy as np
 from gymnasium import spaces
@@ -62,7 +60,7 @@ class InfoObjects(np.ndarray[Any, Any]):
 
     state = truth = drawn = None
 
-    def __new__(cls, **objects: Any) -> InfoObjects:
+    def __new__(cls, **objects: Any) -> Self:
         """An array (0,) with these attributes."""
         made = np.empty(0).view(cls)
         made.__dict__.update(objects)

@@ -6,8 +6,6 @@ Double DQN was made (van Hasselt, Guez, Silver 2016). Both numbers are in units 
 reward, as the network's values are.
 """
 
-from __future__ import annotations
-
 import signal
 import time
 from collections import deque

@@ -3,14 +3,12 @@
 Each segment is saved as soon as it arrives. One that is lost is driven again.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import torch
 
@@ -40,15 +38,7 @@ from wcsim.agents.runs.transfer import (
     town_to_input_files,
 )
 from wcsim.config import RunConfig, resolve
-from wcsim.core import reading
-from wcsim.core.files import (
-    is_unfinished_write,
-    lock_run_folder,
-    sha256_from_file,
-    sha256_from_text,
-    write_bytes,
-    write_json,
-)
+from wcsim.core import files, reading
 from wcsim.core.reading import escape, is_file, read_json
 from wcsim.errors import PolicyError
 from wcsim.server.workers.machines import (
@@ -113,7 +103,7 @@ def collect_data(
     towns = [find_town(name) for name in order.towns]
     order.folder.mkdir(parents=True, exist_ok=True)
     # The folder's own files are read, extended and written back: one process at a time.
-    with lock_run_folder(order.folder):
+    with files.lock_run_folder(order.folder):
         # 2. Read what the folder holds, and note this order in it.
         segments: Hashes = {}
         town_hashes: Hashes = {}
@@ -122,7 +112,7 @@ def collect_data(
             require_same_data_settings(order.folder, manifest, order.config)
             segments, town_hashes = dict(manifest.segments), dict(manifest.towns)
         elif any(
-            path.name not in (SEGMENTS, LOGS, _ORDERS) and not is_unfinished_write(path)
+            path.name not in (SEGMENTS, LOGS, _ORDERS) and not files.is_unfinished_write(path)
             for path in order.folder.iterdir()
         ):
             raise PolicyError(
@@ -168,7 +158,7 @@ class SegmentWorkers:
         self._scheduler = WorkScheduler(machines.open(logs), self._save, least_late_s=LEAST_LATE_S)
         self._sha256: Hashes = {}  # of the segments that were received, by the name of the key
 
-    def __enter__(self) -> SegmentWorkers:
+    def __enter__(self) -> Self:
         self._scheduler.__enter__()
         return self
 
@@ -202,7 +192,7 @@ class SegmentWorkers:
             if name not in self._sha256 and path.is_file():
                 try:
                     read_segment(path)
-                    found[path.name] = sha256_from_file(path)
+                    found[path.name] = files.sha256_from_file(path)
                     continue
                 except PolicyError:
                     path.unlink(missing_ok=True)
@@ -219,7 +209,7 @@ class SegmentWorkers:
 
     def _save(self, name: str, data: bytes) -> None:
         """Save a segment; the scheduler's thread calls this before the piece counts as done."""
-        write_bytes(segment_path_from_name(self._folder, name), data)
+        files.write_bytes(segment_path_from_name(self._folder, name), data)
         self._sha256[name] = hashlib.sha256(data).hexdigest()
 
 
@@ -229,16 +219,16 @@ def _work_piece(order: SegmentOrder) -> WorkPiece:
 
 def _input_files(order: SegmentOrder) -> tuple[WorkInputFiles, ...]:
     """The files that are sent with an order: towns, the network, the user's own wheelchair."""
-    files = [*map(town_to_input_files, order.towns)]
+    sent = [*map(town_to_input_files, order.towns)]
     if order.policy:
-        files.append(folder_to_input_files(Path(order.policy), order.policy))
+        sent.append(folder_to_input_files(Path(order.policy), order.policy))
     plant = order.config.chair.plant
     if plant.endswith(".toml"):
         path = Path(plant).absolute()
-        files.append(
+        sent.append(
             WorkInputFiles(address=plant, folder=path.parent, names=(path.name,), inner=path.name)
         )
-    return tuple(files)
+    return tuple(sent)
 
 
 def _drive_order(order: SegmentOrder, to_local: ToLocalPath) -> bytes:
@@ -277,14 +267,14 @@ def _note_order(order: DataOrder, towns: Sequence[Town]) -> None:
     noted = read_json(path, reading.ORDERS) if is_file(path) else {}
     policy = []
     if order.policy:
-        files = folder_to_input_files(Path(order.policy))
-        policy = [[name, sha256_from_file(files.folder / name)] for name in sorted(files.names)]
+        sent = folder_to_input_files(Path(order.policy))
+        policy = [[name, files.sha256_from_file(sent.folder / name)] for name in sorted(sent.names)]
     parts = [config_to_plain_settings(order.config), [content_hash(town) for town in towns], policy]
-    digest = sha256_from_text(json.dumps(parts, sort_keys=True))
+    digest = files.sha256_from_text(json.dumps(parts, sort_keys=True))
     if noted.get(seed, digest) != digest:
         raise PolicyError(
             f"{escape(order.folder)} holds segments of seed {seed} that were driven with other "
             "settings, in other towns or by another policy; expected the same: choose another "
             "--seed, or another --out"
         )
-    write_json(path, {**noted, seed: digest})
+    files.write_json(path, {**noted, seed: digest})

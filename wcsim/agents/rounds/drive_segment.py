@@ -11,7 +11,7 @@ and is pushed ahead: users seldom get there.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -53,13 +53,12 @@ from wcsim.core.reading import escape
 from wcsim.core.seeding import derive_seed, make_rng
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.supervisor.oracle import OracleRequest
 from wcsim.supervisor.rewards import judge_crash_fault
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
 from wcsim.towns.scene_folders.families import family_of, write_scene
 from wcsim.towns.walking.off_way import off_way_start
-from wcsim.types import U8, ClientSnapshot, SeatSpec, Truth, Verdict
+from wcsim.types import F64, U8, ActorState, ClientSnapshot, SeatSpec, Truth, Verdict
 from wcsim.users.recordings.recorded_user import find_user
 
 OFF_WAY_STEPS: Final = 60  # of an episode that starts off the way
@@ -320,12 +319,10 @@ def _drive_world(
         # The oracle supposes that others go on as they do. What they did instead counts, too.
         names = [{actor.id: actor for actor in now} for now in actors]
         for seat in seats if oracle else ():
-            for tick, (row, request) in enumerate(zip(seat.rows, seat.requests, strict=True)):
+            for tick, (row, reassess) in enumerate(zip(seat.rows, seat.judges, strict=True)):
                 for after in HINDSIGHT_TICKS:
                     ticks = min(after, len(names) - 1 - tick)
-                    first_s = seat.ego.oracle.reassess(
-                        request, names[tick + ticks], ticks * setup.config.world.tick_s
-                    )
+                    first_s = reassess(names[tick + ticks], ticks * setup.config.world.tick_s)
                     row["visible"] = np.minimum(row["visible"], crash_times_to_codes(first_s))
     for seat in seats:
         # The world ends here: what would have followed is unknown.
@@ -435,8 +432,9 @@ class _SeatRecorder:
         ego: Ego,
     ) -> None:
         self.rows: list[dict[str, Any]] = []  # by column of a segment
-        self.requests: list[OracleRequest] = []  # of each row
-        self.ego = ego
+        # Of each row, see `Ego.reassess`.
+        self.judges: list[Callable[[Mapping[str, ActorState], float], F64]] = []
+        self._ego = ego
         self._config, self._rng, self._pushed = config, rng, pushed
         self._make_network = make_network
         self._actions = action_set(config.env.actions)
@@ -457,7 +455,7 @@ class _SeatRecorder:
         """The action for an observation."""
         truth: Truth | None = info[OBJECTS].truth
         if truth is not None:
-            self.requests.append(self.ego.request)
+            self.judges.append(self._ego.reassess)
         self._choice = self._agent.choose(observation, truth and (truth.visible or truth))
         return int(self._choice["action"])
 

@@ -13,8 +13,6 @@
 - policies/: phase1/, final/
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import platform
@@ -23,7 +21,7 @@ import subprocess
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, Self
 
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS
 from wcsim.agents.runs.data_folder import DATA, SEGMENTS
@@ -131,7 +129,7 @@ class RunFolder:
         manifest = replace(self.manifest, status="running", steps=0)
         return sha256_from_text(json.dumps(asdict(manifest), sort_keys=True))
 
-    def with_status(self, status: Status, steps: int) -> RunFolder:
+    def with_status(self, status: Status, steps: int) -> Self:
         """Write a new status into the manifest."""
         manifest = replace(self.manifest, status=status, steps=steps)
         write_json(self.path / MANIFEST, asdict(manifest))

@@ -6,9 +6,9 @@ else.
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from wcsim.physics.wheelchair.wheel_track import fell
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import NEAR
-from wcsim.supervisor.oracle import CrashOracle, OracleRequest
+from wcsim.supervisor.oracle import CrashOracle
 from wcsim.supervisor.rewards import describe_crash, find_crash_reason
 from wcsim.towns.checks.validate import require_pavement
 from wcsim.towns.scenario.town import Town, content_hash
@@ -130,11 +130,12 @@ class Ego:
         self._on_road = OnRoad()
         self._shown_actors = _ShownActors(config.world)
         self._button: CrossingButton  # of this route
-        self.request: OracleRequest  # of the last tick with a truth
+        # The truth of the last tick that had one, as the others went on: `CrashOracle.reassess`.
+        self.reassess: Callable[[Mapping[str, ActorState], float], F64]
         self.asks: GreenRequest | None = None  # of a light: its button has been pressed
 
     @cached_property
-    def oracle(self) -> CrashOracle:
+    def _oracle(self) -> CrashOracle:
         """Of this chair; most are asked for no truth."""
         chair, plant = self._config.chair, plant_spec(self._config.chair)
         wheels_m = np.column_stack([plant.stand_m(), plant.trails_m()])
@@ -357,11 +358,10 @@ class Ego:
         plant, stick, waiting = self.chair.state(), self.user.joystick, tuple(self._waiting)
         known = self._shown_actors.known(others) if self.spec.truth_visible else None
         accel_mps2 = self.chair.drive_accel_mps2()
-        seen = self.oracle.assess(plant, stick, others, waiting, known, accel_mps2)
+        seen = self._oracle.assess(plant, stick, others, waiting, known, accel_mps2)
         ids = frozenset(actor.id for actor in others)
-        self.request = OracleRequest(
-            plant, others if known is None else known, ids, waiting, accel_mps2
-        )
+        counted = others if known is None else known
+        self.reassess = partial(self._oracle.reassess, plant, counted, ids, waiting, accel_mps2)
         return replace(seen, intent=self.user.intent, progress_m=self._progressed_m)
 
     def snapshot(

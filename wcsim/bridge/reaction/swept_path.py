@@ -5,12 +5,10 @@ line; a long vehicle cuts corners. The way is laid out once per lane, as poses o
 metre apart.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -109,7 +107,7 @@ class Tube:
         """Points (n, 2) of the line at these distances, straight on beyond its ends."""
         return _at(self.points_W_m, self.arc_m, at_m)
 
-    def moved(self, arc_m: F64, points_W_m: F64, length_m: float) -> Tube:
+    def moved(self, arc_m: F64, points_W_m: F64, length_m: float) -> Self:
         """The same way along another line of points (n, 2), at the old line's arcs (n,)."""
         poses = _poses(points_W_m, arc_m, self.first_m, length_m)
         return replace(self, points_W_m=points_W_m, arc_m=arc_m, poses=poses)

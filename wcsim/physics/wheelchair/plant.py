@@ -5,8 +5,6 @@ Whether a plant can be built and stand, and where a camera may sit on it, is che
 moves; a refusal has the value, its unit and its bounds.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations, product

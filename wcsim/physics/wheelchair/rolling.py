@@ -6,12 +6,10 @@ springs alone pitches about its drive axle. What is left out: slip of the tyres,
 the casters' swivels (docs/adr/017-rolling-without-the-engine.md has the errors).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple, cast
+from typing import Final, NamedTuple, Self, cast
 
 import numpy as np
 
@@ -84,7 +82,7 @@ class RollingPlant:
     steepest: float  # slope from which on a drive wheel might slip
 
     @classmethod
-    def of(cls, spec: PlantSpec, chair: ChairConfig, joint_of: Mapping[str, int]) -> RollingPlant:
+    def of(cls, spec: PlantSpec, chair: ChairConfig, joint_of: Mapping[str, int]) -> Self:
         """From a plant, its drive's limits, and the places of its joints in `Motion` by name."""
         # 1. What the drive wheels turn; half of a push is the other wheel's.
         radius_m, half_m, mass_kg = spec.wheel.radius_m, 0.5 * spec.wheel.track_m, spec.whole_kg

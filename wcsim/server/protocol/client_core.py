@@ -7,13 +7,11 @@ sensors wait). Anything else in between is an error, or a message that came twic
 nothing else: its action is the tick request.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Final, Self
 
 from wcsim import errors
 from wcsim.server.protocol import messages as m
@@ -159,7 +157,7 @@ class ClientCore:
         """Whether this client's action is the tick request, by the server's last word."""
         return self._master_seat == self.seat
 
-    def copied(self) -> ClientCore:
+    def copied(self) -> Self:
         """A core in the same state that changes by itself; sessions come from the same source."""
         return copy(self)
 

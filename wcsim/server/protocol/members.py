@@ -1,10 +1,8 @@
 """The clients of a world: members, those who wait for a seat, and those whose chairs are to go."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, Self
 
 from wcsim.server.protocol.events import Peer
 from wcsim.types import Joystick, SeatSpec
@@ -116,9 +114,9 @@ class ClientRoster:
         if session not in self.forgotten:
             self.forgotten.append(session)
 
-    def copied(self) -> ClientRoster:
+    def copied(self) -> Self:
         """A copy that shares nothing that changes."""
-        return ClientRoster(
+        return type(self)(
             [replace(p) for p in self.members],
             list(self.pending),
             dict(self.going),

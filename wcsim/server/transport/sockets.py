@@ -4,8 +4,6 @@ No peer can make the server wait. Messages to a peer that does not read are drop
 repeat their requests; a peer that sends more than its share is not read.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import select

@@ -3,14 +3,12 @@
 It runs in a thread of its own, so that workers have something to do while the network learns.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Self
 
 from wcsim.errors import WorkersError
 from wcsim.server.workers.machines import WorkerPool, WorkPiece, WorkResult, machine_from_worker
@@ -90,7 +88,7 @@ class WorkScheduler:
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="scheduler", daemon=True)
 
-    def __enter__(self) -> WorkScheduler:
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
 

@@ -6,8 +6,6 @@ format. Or download one with SUMO's own tool, osmGet.py, in a child process unde
 The driving side: the time zone of a place gives the country, and the country gives the side.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -17,7 +15,7 @@ import zlib
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 from urllib.parse import urlsplit
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -84,12 +82,12 @@ class Box(NamedTuple):
     north: float
 
     @classmethod
-    def of(cls, text: str) -> Box:
+    def of(cls, text: str) -> Self:
         """The box of "west,south,east,north". Raises ValueError."""
         west, south, east, north = (float(part) for part in text.split(","))
         return cls(west, south, east, north)
 
-    def check(self, part: Box | None = None) -> None:
+    def check(self, part: Self | None = None) -> None:
         """Raise TownError unless a town can be made of it; `part` is a part of a good size."""
         if not (-180 <= self.west < self.east <= 180 and -84 <= self.south < self.north <= 84):
             raise TownError(
@@ -122,12 +120,12 @@ class Box(NamedTuple):
         """As the command line takes it."""
         return f"--bbox={','.join(map(str, self))}"
 
-    def grown(self, margin_m: float) -> Box:
+    def grown(self, margin_m: float) -> Self:
         """The same with a margin in metres on each side, within the globe."""
         high = margin_m / _M_PER_DEG
         wide = high / max(0.05, math.cos(deg2rad((self.south + self.north) / 2)))
         west, south = max(-180.0, self.west - wide), max(-90.0, self.south - high)
-        return Box(west, south, min(180.0, self.east + wide), min(90.0, self.north + high))
+        return type(self)(west, south, min(180.0, self.east + wide), min(90.0, self.north + high))
 
     def holds(self, place: tuple[float, float]) -> bool:
         """Whether a place (longitude, latitude) lies in it."""
