@@ -45,10 +45,10 @@ _COLUMNS = (
     *("arrived", "unneeded", "warned_share", "false_warnings_per_km", "score"),
 )
 _LIMITS = """- Simulation only: this says nothing about a real street, and no person has driven with it.
-- Its input is one depth camera at the position above, with a class for each pixel.
-  A real camera has more errors.
-- It remembers 4 s. It cannot detect anything that comes from behind or from the side, outside the picture.
-- It is only valid with the chair, camera and delay above.
+- Its input is depth cameras at the positions above, with a class for each pixel.
+  Real cameras have more errors.
+- It remembers 4 s. It cannot detect what comes from outside their pictures.
+- It is only valid with the chair, cameras and delay above.
 - Its dangers are not probabilities. The threshold was chosen on the towns above alone."""
 
 
@@ -84,7 +84,7 @@ def rows_of(path: Path, run: Path) -> list[dict[str, Any]]:
 def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
     """The model card, as Markdown."""
     manifest, config = run.manifest, run.config
-    camera, danger, collect = config.cameras[0], config.danger, config.collect
+    danger, collect = config.danger, config.collect
     towns, users, kept = driving(run)
     streets = f" (streets of {manifest.town} {manifest.town_sha256[:12]})" if manifest.town in towns else ""
     met = "".join(f"; {name} is held out" for name in HELD_OUT["profile"] if name not in users)
@@ -101,7 +101,7 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
         f"| seed | {manifest.seed} |",
         f"| network | street map, width {danger.width} |",
         f"| rule | threshold {danger.threshold:g}, at once {danger.at_once:g}, warn {danger.warn:g} |",
-        f"| camera | {camera_told(camera)} |",
+        *(f"| camera `{camera.name}` | {camera_told(camera)} |" for camera in config.eyes.values()),
         f"| delay | {config.world.action_delay_ticks} ticks of {config.world.tick_s:g} s |",
         f"| versions | {', '.join(f'{name} {version}' for name, version in manifest.versions.items())} |",
         f"| code | {manifest.git_revision or 'unknown'} |",

@@ -68,7 +68,7 @@ def test_its_card_says_how_it_was_made_and_measured(made):
 
 def test_its_card_says_where_the_camera_sits_and_its_noise_in_words(made):
     limits = (made / "MODEL_CARD.md").read_text().partition("## Limits")[2]
-    assert "the position above" in limits
+    assert "the positions above" in limits
     typical = CameraConfig.model_validate({"p_BC_m": [0.3, 0.1, 1.2], "noise": "typical"})
     told = TOOL["camera_told"](typical)
     assert "at x 0.3, y 0.1, z 1.2 m of the chair" in told and "-15 deg up" in told and "noise typical," in told

@@ -70,7 +70,7 @@ def test_without_torch_nothing_drives_by_a_law_that_is_not_its_own(monkeypatch):
         assert not isinstance(policy, ExportedDangerPolicy)
     with pytest.raises(PolicyError, match=r"pip install 'wcsim\[train\]'"):
         open_named_policy("veto:shipped", config, 0)
-    with pytest.raises(PolicyError, match="trained with another camera"):
+    with pytest.raises(PolicyError, match="trained with 2 cameras, this test has 1"):
         open_named_policy("shipped", CONFIG, 0)
 
 

@@ -98,7 +98,7 @@ def test_the_page_says_what_a_simulated_users_drive_lacks_for_the_policy_that_sh
     a_drive(folder, *SMALL_CAMERA)
     words = lacking(wcsim("export", "shipped", "--onnx", "x", "--ride", "a.drive").err)
     page = (Path(__file__).parents[3] / "docs" / "export.md").read_text().replace("\\\n", " ")
-    (typed,) = [line.split() for line in page.splitlines() if line.strip().startswith("wcsim users record")]
+    (typed,) = [shlex.split(line) for line in page.splitlines() if line.strip().startswith("wcsim users record")]
     assert words and typed[-len(words) :] == words
 
 
