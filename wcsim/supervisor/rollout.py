@@ -59,7 +59,7 @@ CORNER_M: Final = 0.06  # radius of a disc in each corner of the hull
 BEYOND_M: Final = 0.1  # of the hull's corners, where a rough distance is enough
 # More than two looks at the raster of clearances differ by beyond the way between them.
 RASTER_M: Final = 0.3
-SOLID_MARGIN_M: Final = 0.065
+SOLID_MARGIN_M: Final = 0.065  # kept of what stands, by who is not nearer already
 VEHICLE_MARGIN_M: Final = 0.05
 
 # Columns of the rims (n, 3), which can meet a step up: the place in B, and the step that they take.

@@ -11,8 +11,9 @@ from wcsim.agents.danger.policy import DangerPolicy, _choose, _mask_safe_actions
 from wcsim.agents.danger.street_map import FeatureExtractor
 from wcsim.agents.export.policy_graphs import DangerPolicyGraph, TorchDriveModel
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
-from wcsim.config.run_file import DangerNetworkShape, DangerNetworkSpec, DangerRuleSettings
+from wcsim.config.run_file import DangerNetworkShape, DangerNetworkSpec, DangerRuleSettings, StickValue
 from wcsim.core.joystick import advance_drive, drive_limits_from_chair, shape_joysticks
+from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 
 CONFIG = resolve(RunConfig(cameras=(CameraConfig(width_px=48, height_px=36),)), "world.action_delay_ticks=2")
@@ -124,6 +125,11 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does(width, height
         assert abs(level - policy._alarm.level) < 0.05 and bool(warning) == bool(on)
         assert bool(on) == policy.warning or abs(level - rule.warn) < 0.05 or abs(level - 0.7 * rule.warn) < 0.05
     assert same == len(actions) and len(set(actions)) > 1
+
+
+def test_a_rule_of_values_is_refused():
+    with pytest.raises(PolicyError, match="by the values of sticks"):
+        DangerPolicyGraph(network(), CONFIG, DangerRuleSettings(value=StickValue()))
 
 
 def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():

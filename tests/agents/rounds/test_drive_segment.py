@@ -9,6 +9,7 @@ import pytest
 from tests.support.samples import ACTIONS
 from tests.support.worlds import dqn_config
 from wcsim.agents.rounds.drive_segment import (
+    HINDSIGHT_TICKS,
     OFF_WAY_STEPS,
     SegmentOrder,
     _DataDriver,
@@ -32,7 +33,8 @@ from wcsim.bridge.world import World
 from wcsim.config import CollectConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import make_observation
-from wcsim.types import Command, Joystick, Verdict
+from wcsim.supervisor.oracle import CrashOracle
+from wcsim.types import F64, Command, Joystick, Verdict
 
 KEY = DrivingSegmentKey(run=5, round=0, index=0)
 
@@ -88,6 +90,8 @@ def test_who_learns_from_crashes_asks_no_oracle_and_drives_in_the_same_world(cor
 def test_an_oracle_that_would_drive_is_refused_where_crashes_teach():
     with pytest.raises(ConfigError, match=r"follow_share=0\.4 lets the oracle drive; expected 1"):
         require_recordable(dqn_config("danger.teacher=crashes"))
+    with pytest.raises(ConfigError, match=r"reward\.crash=0; expected more"):
+        require_recordable(dqn_config("danger.teacher=returns", "collect.follow_share=1", "reward.crash=0"))
     two = dqn_config('env.camera=["front","rear"]')
     require_recordable(two)
     for words in ('env.camera=["rear","front"]', "cameras.1.width_px=40"):
@@ -208,6 +212,27 @@ def test_labels_and_senses_are_of_the_moment_in_which_the_action_is_chosen(
         rows = column.reshape(2, 40, -1).swapaxes(0, 1)
         assert np.array_equal(said, rows)
         assert not np.array_equal(said[1:], rows[:-1]), "a tick late is something else"
+
+
+def test_labels_are_judged_again_by_how_others_went_on(corner: Path, segment: DrivingSegment, monkeypatch):
+    asked: list[int] = []
+
+    def reassess(*told: object) -> F64:
+        asked.append(round(float(str(told[-1])) / 0.1))
+        return np.where(np.arange(81) == 7, 0.2, np.inf)
+
+    monkeypatch.setattr(CrashOracle, "reassess", reassess)
+    order = order_in(corner, "collect.episode_steps=15")
+    again, once_each = (
+        drive_segment(order, None),
+        2 * [min(k, 40 - tick) for tick in range(40) for k in HINDSIGHT_TICKS],
+    )
+    assert asked == once_each and np.array_equal(again.truth, segment.truth)
+    assert (again.visible[:, 7] <= crash_times_to_codes(np.array([0.2]))).all()
+    others = np.delete(np.arange(81), 7)
+    assert (again.visible[:, others] >= segment.visible[:, others]).all(), "the earlier failure counts"
+    drive_segment(replace(order, config=resolve(order.config, "danger.teacher=truth")), None)
+    assert asked == once_each, "the all-knowing oracle is asked once"
 
 
 def test_who_knows_less_fears_less(segment: DrivingSegment):

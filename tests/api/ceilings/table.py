@@ -29,14 +29,14 @@ ROWS: Final = (
         name="wcsim: tokens of code",
         # Eight engineers found 460 lines that were no feature. The rest is text: it falls room by room.
         first=691_761,
-        ceiling=569_665,
+        ceiling=571_247,
         count=measures.tokens,
     ),
     Row(name="wcsim: files", first=790, ceiling=440, count=measures.files),
-    Row(name="wcsim: functions and classes", first=4_414, ceiling=3_291, count=measures.names),
+    Row(name="wcsim: functions and classes", first=4_414, ceiling=3_234, count=measures.names),
     Row(name="wcsim: those that are public", first=2_655, ceiling=1_588, count=measures.public_names),
-    Row(name="wcsim: private ones called once", first=1_278, ceiling=871, count=measures.called_once),
-    Row(name="wcsim: files with late constants", first=110, ceiling=14, count=measures.late_constants),
+    Row(name="wcsim: private ones called once", first=1_278, ceiling=853, count=measures.called_once),
+    Row(name="wcsim: files with late constants", first=110, ceiling=13, count=measures.late_constants),
     Row(name="wcsim: code lines a comment", first=389, ceiling=26.2, count=measures.lines_per_comment),
     Row(
         name="wcsim: the same where ties are decided",
@@ -50,11 +50,11 @@ ROWS: Final = (
     Row(name="JavaScript: lines", first=1_632, ceiling=1_632, count=lambda: measures.text_lines(".js")),
     Row(name="HTML and CSS: lines", first=754, ceiling=754, count=lambda: measures.text_lines(".html", ".css")),
     Row(name="templates: lines", first=0, ceiling=356, count=lambda: measures.text_lines(".jinja", ".j2")),
-    Row(name="tools: tokens", first=13_871, ceiling=11_411, count=lambda: measures.tokens("tools")),
+    Row(name="tools: tokens", first=13_871, ceiling=11_115, count=lambda: measures.tokens("tools")),
     Row(name="examples: tokens", first=2_835, ceiling=6_150, count=lambda: measures.tokens("examples")),
     Row(name="benchmarks: tokens", first=55_115, ceiling=62_120, count=lambda: measures.tokens("benchmarks")),
-    Row(name="tests: tokens", first=619_290, ceiling=620_503, count=lambda: measures.tokens("tests")),
-    Row(name="docs: words written by hand", first=74_035, ceiling=35_787, count=measures.words_of_docs),
+    Row(name="tests: tokens", first=619_290, ceiling=622_375, count=lambda: measures.tokens("tests")),
+    Row(name="docs: words written by hand", first=74_035, ceiling=36_082, count=measures.words_of_docs),
     # The ideas are found by code. Of formats the log's and that of pictures in shared memory; of meters that of an
     # episode's record and the running one of a film; of learners Q-learning and danger networks.
     Row(name="ideas: formats of its own", first=6, ceiling=2, count=lambda: len(measures.formats())),

@@ -196,6 +196,9 @@ class DangerPolicyGraph(nn.Module):
         net: With its weights.
         config: Of the run.
         rule: From dangers to an action.
+
+    Raises:
+        PolicyError: The rule chooses by values.
     """
 
     outputs: Final = ("values", "warning", "danger")
@@ -206,6 +209,11 @@ class DangerPolicyGraph(nn.Module):
 
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRuleSettings) -> None:
         super().__init__()
+        if rule.value is not None:
+            raise PolicyError(
+                "the policy chooses by the values of sticks (danger.teacher=returns), which no "
+                "graph does; expected one with a threshold of danger: test it in wcsim"
+            )
         chair = config.chair
         points = action_set(config.env.actions).points
         spec = plant_spec(chair)

@@ -11,7 +11,7 @@ and is pushed ahead: users seldom get there.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -169,6 +169,10 @@ def _require_drivable(config: RunConfig) -> None:
     # Labels belong to the positions of an action set: a set of any stick has none.
     action_set(config.env.actions)
     teacher, share = config.danger.teacher, config.collect.follow_share
+    if teacher == "returns" and not config.reward.crash:
+        raise ConfigError(
+            "danger.teacher=returns, but reward.crash=0; expected more: labels are shares of it"
+        )
     if teacher in BY_EVENTS and share < 1.0:
         raise ConfigError(
             f"danger.teacher={teacher}, but collect.follow_share={share:g} lets the oracle drive; "
@@ -316,17 +320,8 @@ def _drive_world(
                 seat.record(client)
                 if client.first is not None and number < setup.off_way:
                     _start_off_way(world, number, start_rngs[number])
-        # The oracle supposes that others go on as they do. What they did instead counts, too.
-        names = [{actor.id: actor for actor in now} for now in actors]
-        for seat in seats if oracle else ():
-            for tick, (row, reassess) in enumerate(zip(seat.rows, seat.judges, strict=True)):
-                for after in HINDSIGHT_TICKS:
-                    ticks = min(after, len(names) - 1 - tick)
-                    first_s = reassess(names[tick + ticks], ticks * setup.config.world.tick_s)
-                    row["visible"] = np.minimum(row["visible"], crash_times_to_codes(first_s))
     for seat in seats:
-        # The world ends here: what would have followed is unknown.
-        seat.rows[-1]["ended"] = True
+        seat.end(actors, setup.config.world.tick_s)
     rows = [row for seat in seats for row in seat.rows]
     columns = {
         name: np.array([row[name] for row in rows], kind) for name, (kind, _) in COLUMNS.items()
@@ -454,7 +449,7 @@ class _SeatRecorder:
     def act(self, observation: Observation, info: Info) -> int:
         """The action for an observation."""
         truth: Truth | None = info[OBJECTS].truth
-        if truth is not None:
+        if self._config.danger.teacher == "visible":
             self.judges.append(self._ego.reassess)
         self._choice = self._agent.choose(observation, truth and (truth.visible or truth))
         return int(self._choice["action"])
@@ -485,6 +480,24 @@ class _SeatRecorder:
                 "delay": self._delay_ticks,
             }
         )
+
+    def end(self, actors: Sequence[Sequence[ActorState]], tick_s: float) -> None:
+        """The world has ended.
+
+        Args:
+            actors: Of the world, at each of its ticks.
+            tick_s: Of the world.
+        """
+        # 1. What would have followed is unknown.
+        self.rows[-1]["ended"] = True
+
+        # 2. The oracle supposed that others would go on as they did. What they did counts, too.
+        for tick, reassess in enumerate(self.judges):
+            for after in HINDSIGHT_TICKS:
+                ticks = min(after, len(actors) - 1 - tick)
+                later = {actor.id: actor for actor in actors[tick + ticks]}
+                codes, row = crash_times_to_codes(reassess(later, ticks * tick_s)), self.rows[tick]
+                row["visible"] = np.minimum(row["visible"], codes)
 
 
 def _to_codes(verdict: Verdict | None) -> U8:

@@ -37,7 +37,7 @@ def test_a_crash_has_a_last_moment_the_same_each_time():
     "family, seed, policy, cause",
     [
         ("overtaking-rider", 1, "dwa", "unseen"),
-        ("turning-beside-drop-near", 21000, "shipped", "late"),
+        ("scooter-cuts-in-near", 1118629420, "dwa", "late"),
         ("scooter-cuts-in-near", 2075844307, "dwa", "in_vain"),
         ("footplate-swing-near", 1645858598, "dwa", "given_back"),
     ],
