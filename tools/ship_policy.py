@@ -32,7 +32,6 @@ from wcsim.agents.runs.policy_file import (
     WEIGHTS,
     find_shipped_policy,
     get_shipped_policy_path,
-    read_danger_policy_file,
 )
 from wcsim.agents.runs.run_folder import MANIFEST, RunFolder, open_run
 from wcsim.config import CameraConfig, CollectConfig, resolve
@@ -84,7 +83,7 @@ def rows_of(path: Path, run: Path) -> list[dict[str, Any]]:
 def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
     """The model card, as Markdown."""
     manifest, config = run.manifest, run.config
-    danger, collect, rule = config.danger, config.collect, read_danger_policy_file(run.policy("final")).rule
+    danger, collect = config.danger, config.collect
     towns, users, kept = driving(run)
     streets = f" (streets of {manifest.town} {manifest.town_sha256[:12]})" if manifest.town in towns else ""
     met = "".join(f"; {name} is held out" for name in HELD_OUT["profile"] if name not in users)
@@ -100,7 +99,7 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
         f"| data | {kept} segments of {collect.ticks} ticks with {collect.chairs} chairs, labels {danger.teacher} |",
         f"| seed | {manifest.seed} |",
         f"| network | street map, width {danger.width} |",
-        f"| rule | threshold {rule.threshold:g}, at once {rule.at_once:g}, warn {rule.warn:g} |",
+        f"| rule | threshold {danger.threshold:g}, at once {danger.at_once:g}, warn {danger.warn:g} |",
         *(f"| camera `{camera.name}` | {camera_told(camera)} |" for camera in config.eyes.values()),
         f"| delay | {config.world.action_delay_ticks} ticks of {config.world.tick_s:g} s |",
         f"| versions | {', '.join(f'{name} {version}' for name, version in manifest.versions.items())} |",
