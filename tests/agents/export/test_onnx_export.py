@@ -11,7 +11,7 @@ from tests.agents.export.test_guarded_policy import EXAMPLE
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.guard import MEANING, GuardedPolicy, read_guard_rule
-from wcsim.agents.export.onnx_export import BORDER_OFF, ExportMeasurements, export_policy
+from wcsim.agents.export.onnx_export import ExportMeasurements, export_policy
 from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.opening.named_policy import open_named_policy
 from wcsim.agents.policies.onnx_policy import read_onnx_policy_file
@@ -37,8 +37,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExportMeasurem
 
 def test_200_steps_are_those_of_the_network_and_of_wcsim(made):
     folder, facts = made
-    assert facts.steps == 200 and facts.border_off < BORDER_OFF and facts.same_actions == 1.0
-    assert facts.border_steps <= 4, "2 % of them"
+    assert facts.steps == 200 and facts.border_off < 1e-3 and facts.same_actions == 1.0
+    assert facts.border_steps <= 2, "places on the border of two cells"
     assert facts.same_as_wcsim > 0.97, "cells at a border may go either way"
     meaning = json.loads((folder / MEANING).read_text())
     assert meaning["rule"]["threshold"] == 0.35 and meaning["facts"]["steps"] == 200
