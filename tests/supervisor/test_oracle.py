@@ -256,11 +256,17 @@ def test_a_wider_and_longer_chair_has_less_room():
     assert large.assess(beside_the_pole, FORWARD, ()).danger
 
 
-def test_a_wall_is_passed_with_a_margin_and_who_is_nearer_may_leave():
-    beside_m = 9.0 - 0.5 * USUAL_OUTLINE.width_m
-    comes_within = [danger(60.0, beside_m - gap_m, 0.04, 1.0) for gap_m in (0.13, 0.3)]  # it comes 6 cm nearer
-    assert comes_within == [True, False]
-    assert not danger(60.0, beside_m - 0.02, 0.0, 1.0)
+def test_a_label_keeps_a_margin_of_a_wall_and_who_is_near_may_leave():
+    def failing(gap_m, yaw, stick=(0.0, 1.0), v=1.0):
+        there = plant(60.0, 9.0 - 0.5 * USUAL_OUTLINE.width_m - gap_m, yaw, v)
+        label = ORACLE.reassess(there, (), frozenset(), (), 0.0, {}, 1.0)
+        metric = ORACLE.assess(there, STOP, ()).first_s
+        return [bool(np.isfinite(first_s[ACTIONS.nearest(stick)])) for first_s in (label, metric)]
+
+    along = [failing(gap_m, 0.04) for gap_m in (0.16, 0.3)]  # it comes nearer
+    assert along == [[True, False], [False, False]]
+    away = [failing(gap_m, 0.0, (0.5, 1.0)) for gap_m in (0.05, 0.1, 0.15)]
+    assert [*away, failing(0.02, 0.0)] == 4 * [[False, False]]
 
 
 def test_in_hindsight_it_knows_who_cut_in_and_what_appeared():
@@ -275,6 +281,8 @@ def test_in_hindsight_it_knows_who_cut_in_and_what_appeared():
     assert np.isfinite(first_s(replace(ahead, id=beside.id))).tolist() == [True, False]
     door = replace(ahead, id="door")
     assert np.isfinite(first_s(beside, door)).tolist() == [True, False]
+    cuts = replace(door, p_W_m=np.array([7.0, 5.8, 0.0]), v_W_mps=np.array([0.0, -2.0, 0.0]))
+    assert first_s(beside, cuts)[0] > 0.8, "it comes from the side, and was not ahead from the first"
     both = {beside.id, door.id}
     assert np.isinf(first_s(beside, door, ids=both)).all(), "it was there, and no camera had shown it"
 

@@ -1,6 +1,6 @@
 """Sections `[learn]`, `[danger]` and `[collect]`: the learner, its danger head, and its data."""
 
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -17,7 +17,6 @@ from wcsim.config.base import (
     within,
 )
 from wcsim.config.env import EpisodeSteps
-from wcsim.core.reading import escape_repr
 
 PROCESS_GROWTH_MB: Final = 400.0
 
@@ -27,26 +26,7 @@ UpdateTime = Literal["before_acting", "while_waiting"]
 StepsOrNone = Annotated[int, within(0, 10**9)]
 
 
-class SeesStreetMap(Model):
-    """Base of what describes a danger network. Older files say that it sees the street map."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _sees_the_map(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or "eye" not in data:
-            return data
-        if data["eye"] != "map":
-            raise ValueError(
-                f"eye is {escape_repr(data['eye'], 40)}, a danger network of camera images, which "
-                "wcsim no longer has; expected 'map': train it again without this setting"
-            )
-        # A policy file says more of its pictures, which a network of the map never had.
-        return {
-            key: value for key, value in data.items() if key not in ("eye", "network", "window")
-        }
-
-
-class DangerConfig(SeesStreetMap):
+class DangerConfig(Model):
     """The danger network: its parts, its training, and its rule."""
 
     width: Annotated[int, within(4, 256)] = 20  # Channels of the first layer.

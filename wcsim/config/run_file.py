@@ -18,7 +18,6 @@ from wcsim.config.base import (
     within,
 )
 from wcsim.config.env import Actions, Classes, FollowRewardConfig, Form, Window
-from wcsim.config.learn import SeesStreetMap
 from wcsim.config.sensors import Pixels
 from wcsim.core.reading import MAX_INTEGER
 from wcsim.types import CLIENT_NAME
@@ -114,7 +113,7 @@ class QPolicyFile(Model):
         return self
 
 
-class DangerNetworkShape(SeesStreetMap):
+class DangerNetworkShape(Model):
     """The shape of a danger network."""
 
     width: Annotated[int, within(4, 256)]
@@ -158,7 +157,7 @@ class DangerNetworkSpec(Model):
 class DangerPolicyFile(DangerNetworkSpec):
     """`policy.json` of a danger network."""
 
-    schema_version: Literal[1]
+    schema_version: Literal[2]  # networks of version 1 swept over a shorter way
     algorithm: Literal["danger"]
     rule: Annotated[DangerRuleSettings, AfterValidator(_all_named)]
     chair: ChairConfig  # whose drive its roll-outs obey
@@ -217,7 +216,8 @@ class RunManifestFile(Model):
 class DrivingDataFile(Model):
     """`data.json` of a folder of recorded driving."""
 
-    schema_version: Literal[2]  # data of version 1 may have scenes that are held out
+    # Data of version 1 may have scenes that are held out, that of version 2 has other labels.
+    schema_version: Literal[3]
     settings_sha256: Sha256  # what it has in common with whoever learns from it
     config: dict[str, Any]  # all settings of the driving; of another version, perhaps
     plant_sha256: MaybeSha256  # of the file that chair.plant names, where it is the user's own

@@ -50,6 +50,7 @@ _REACH_M: Final = 4.0
 _ROLL_OUT_S: Final = 2.5
 _FASTEST_MPS: Final = 5.0  # of any chair
 _FAR_M: Final = 25.5
+LABEL_MARGIN_M: Final = 0.065  # that `reassess` keeps of what stands
 
 
 class CrashOracle:
@@ -145,6 +146,8 @@ class CrashOracle:
     ) -> F64:
         """(A,) when each action would have gone wrong, seconds, as the others did go on.
 
+        A label asks for more than the metric: it keeps LABEL_MARGIN_M of what stands.
+
         Args:
             plant: Of an earlier tick, as `waiting` and `accel_mps2`, see `assess`.
             known: The actors that counted then.
@@ -152,7 +155,7 @@ class CrashOracle:
             waiting: Commands that wait.
             accel_mps2: Of the drive.
             later: The actors `after_s` later, by their id. Who is new among them, such as a door
-                that was opened, counts as if it had been there.
+                that was opened, counts as if it had come as it goes on.
             after_s: Above 0.
         """
         moved = [
@@ -161,9 +164,13 @@ class CrashOracle:
             else actor
             for actor in known
         ]
-        new = [actor for name, actor in later.items() if name not in ids]
+        new = [
+            replace(actor, p_W_m=actor.p_W_m - after_s * actor.v_W_mps)
+            for name, actor in later.items()
+            if name not in ids
+        ]
         others = self._near(plant, [*moved, *new], len(waiting) * self._tick_s)
-        return self._roll_out(plant, self._commands, others, waiting, accel_mps2)
+        return self._roll_out(plant, self._commands, others, waiting, accel_mps2, LABEL_MARGIN_M)
 
     def _verdict(
         self,
@@ -214,6 +221,7 @@ class CrashOracle:
         others: _Others,
         waiting: Sequence[Joystick],
         accel_mps2: float,
+        margin_m: float = 0.0,
     ) -> F64:
         grid = self._grid.around(plant.p_WB_m)
         # Where each wheel is, as the chair lies: beside a kerb it may stand on both sides.
@@ -232,6 +240,7 @@ class CrashOracle:
             others.boxes,
             others.people,
             self._tick_s,
+            margin_m,
         )
 
     def _steps(self, waiting: Sequence[Joystick]) -> F64:

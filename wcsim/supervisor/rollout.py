@@ -59,7 +59,6 @@ CORNER_M: Final = 0.06  # radius of a disc in each corner of the hull
 BEYOND_M: Final = 0.1  # of the hull's corners, where a rough distance is enough
 # More than two looks at the raster of clearances differ by beyond the way between them.
 RASTER_M: Final = 0.3
-SOLID_MARGIN_M: Final = 0.065  # kept of what stands, by who is not nearer already
 VEHICLE_MARGIN_M: Final = 0.05
 
 # Columns of the rims (n, 3), which can meet a step up: the place in B, and the step that they take.
@@ -100,6 +99,7 @@ def predict_crash_times(
     boxes: F64,
     people: F64,
     tick_s: float,
+    margin_m: float,
 ) -> F64:
     """Seconds until each command goes wrong, infinity when it ends well.
 
@@ -116,6 +116,7 @@ def predict_crash_times(
         boxes: (n, 9) vehicles, see the column names above; the margin column is overwritten.
         people: (m, 9) those who walk, see `walkers`; the margin column is overwritten.
         tick_s: How long a command lasts before another one can be given.
+        margin_m: Kept of what stands; a chair that is near keeps half of its gap.
 
     Returns:
         (K,) float64.
@@ -128,8 +129,9 @@ def predict_crash_times(
         state[0], state[1], state[2], hull, land.clearance_dm, land.frame_m, BEYOND_M
     )
     # Never nearer than it is now, nor than DEEPENING_M in all: each step looks again.
-    deepest_gap = max(start_gap, SOLID_MARGIN_M) - DEEPENING_M
-    allowed_gap = min(SOLID_MARGIN_M, start_gap - SAME_M, deepest_gap)
+    # A tail swings out before a chair has turned away: half of its gap is left to it.
+    free_gap = max(start_gap, 0.0)
+    allowed_gap = min(margin_m, 0.5 * free_gap, start_gap - SAME_M, free_gap - DEEPENING_M)
     places = _wheel_places(state, body.wheels)
     start_cm, hanging, rims = _stance(state, body, places, above_cm, reach_m, land)
     around = _circle(rims)

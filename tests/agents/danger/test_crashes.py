@@ -96,11 +96,11 @@ def test_returns_are_what_table_2_took_but_for_the_distance_of_sticks():
     points = ACTIONS.points[segment.action]
     paid = reward_of_distance(np.minimum(np.linalg.norm(points - segment.stick, axis=1), reward.max_distance), reward)
     calm = paid - np.where(segment.crashed, reward.crash, 0.0)
-    share = _label_by_returns(replace(segment, reward=calm.astype(np.float32)), ACTIONS, reward)[:, AHEAD_STICK]
+    share = _label_by_returns(replace(segment, reward=calm.astype(np.float32)), ACTIONS, reward, 20)[:, AHEAD_STICK]
     assert np.allclose(share, 0.9 ** np.arange(39, -1, -1), atol=1e-5)
-    cut = _label_by_returns(replace(driven(held), reward=paid.astype(np.float32)), ACTIONS, reward)[:, AHEAD_STICK]
+    cut = _label_by_returns(replace(driven(held), reward=paid.astype(np.float32)), ACTIONS, reward, 20)[:, AHEAD_STICK]
     assert np.allclose(cut[:20], 0.0, atol=1e-6) and (cut[20:] == UNKNOWN).all(), "nobody knows what follows a cut"
-    assert (_label_by_returns(segment, ACTIONS, reward)[:, LEFT] == UNKNOWN).all()
+    assert (_label_by_returns(segment, ACTIONS, reward, 20)[:, LEFT] == UNKNOWN).all()
 
 
 def test_what_the_oracle_drove_and_data_without_labels_are_refused():

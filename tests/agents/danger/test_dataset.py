@@ -6,7 +6,7 @@ import torch
 
 from tests.agents.danger.sights import HEIGHT_PX, TWO, a_segment, all_of, lectures, lessons_of, small_config
 from tests.support.samples import ACTIONS
-from wcsim.agents.danger.dataset import CRASH_STEPS, Dataset
+from wcsim.agents.danger.dataset import CRASH_S, Dataset
 from wcsim.agents.danger.street_map import MIRRORED, SIDE, FeatureExtractor
 from wcsim.errors import PolicyError
 
@@ -66,7 +66,7 @@ def test_a_crash_overrules_an_oracle_that_saw_none():
     segment.delay[:] = 0
     assert not unsafe_of(segment)[:, ahead].any()
     segment.crashed[-1] = segment.own[-1] = True
-    assert np.flatnonzero(unsafe_of(segment)[:, ahead]).tolist() == list(range(30 - 1 - CRASH_STEPS, 30))
+    assert np.flatnonzero(unsafe_of(segment)[:, ahead]).tolist() == list(range(29 - round(10 * CRASH_S), 30))
 
 
 def test_to_back_where_no_camera_looked_is_unsafe_but_for_a_teacher_of_crashes():

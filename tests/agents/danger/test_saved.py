@@ -19,10 +19,9 @@ from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core import files
-from wcsim.errors import ConfigError, PolicyError
+from wcsim.errors import PolicyError
 
 RULE = DangerRuleSettings(threshold=0.2, warn=0.6)
-OLD = {"eye": "map", "network": "patch", "window": 1}  # what older policy files have beside the shape
 
 
 @pytest.fixture
@@ -95,22 +94,14 @@ def test_a_description_out_of_bounds_is_refused(folder: Path, key: str, value: o
         load_net(folder)
 
 
-def with_net(folder: Path, **parts: object) -> None:
+def test_a_network_of_a_shorter_way_is_refused(folder: Path):
+    saved(folder, small_config())
     with description(folder) as told:
-        told["net"] |= parts
-
-
-def test_a_file_of_before_is_read_and_one_of_camera_pictures_refused(folder: Path):
-    net = saved(folder, small_config())
-    with_net(folder, **OLD)
-    assert load_net(folder)[0].spec.net == net.spec.net
-    for eye in ("picture", "both"):
-        with_net(folder, **{**OLD, "eye": eye})
-        with pytest.raises(PolicyError, match=rf"eye is '{eye}'.* expected 'map': train it again"):
-            load_net(folder)
-        with pytest.raises(ConfigError, match=rf"eye is '{eye}'.* expected 'map': train it again"):
-            small_config(f"danger.eye={eye}")
-    assert small_config("danger.eye=map") == small_config()
+        told["schema_version"] = 1
+    with pytest.raises(
+        PolicyError, match=r"schema_version: Input should be 2, got 1: another version wrote it, make it again"
+    ):
+        load_net(folder)
 
 
 def test_several_cameras_are_those_of_the_training(tmp_path: Path, folder: Path):

@@ -205,12 +205,13 @@ def test_a_wheelchair_of_ones_own_is_known_by_what_its_file_says(tmp_path: Path)
             require_same_data_settings(tmp_path, file, dqn_config(f"chair.plant={other}"))
 
 
-def test_data_of_before_scenes_were_held_out_is_refused(tmp_path: Path):
+def test_data_of_before_with_other_scenes_or_labels_is_refused(tmp_path: Path):
     write_data_manifest(tmp_path, dqn_config(), {"corner": TOWN}, {})
     said = json.loads((tmp_path / "data.json").read_text())
-    (tmp_path / "data.json").write_text(json.dumps({**said, "schema_version": 1}))
-    with pytest.raises(PolicyError, match="schema_version"):
-        read_data_manifest(tmp_path)
+    for version in (1, 2):
+        (tmp_path / "data.json").write_text(json.dumps({**said, "schema_version": version}))
+        with pytest.raises(PolicyError, match="schema_version"):
+            read_data_manifest(tmp_path)
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -9,7 +9,7 @@ import pytest
 from tests.support.samples import ACTIONS
 from tests.support.worlds import dqn_config
 from wcsim.agents.rounds.drive_segment import (
-    HINDSIGHT_TICKS,
+    HINDSIGHT_S,
     OFF_WAY_STEPS,
     SegmentOrder,
     _DataDriver,
@@ -223,10 +223,16 @@ def test_labels_are_judged_again_by_how_others_went_on(corner: Path, segment: Dr
 
     monkeypatch.setattr(CrashOracle, "reassess", reassess)
     order = order_in(corner, "collect.episode_steps=15")
-    again, once_each = (
-        drive_segment(order, None),
-        2 * [min(k, 40 - tick) for tick in range(40) for k in HINDSIGHT_TICKS],
-    )
+    again = drive_segment(order, None)
+    ends = np.flatnonzero(again.ended) + 1
+    assert len(ends) > 4, "episodes end before all is seen"
+    left = ends[np.searchsorted(ends, np.arange(80), side="right")] - np.arange(80)
+    once_each = [
+        min(round(10 * after_s), left[40 * seat + tick])
+        for seat in range(2)
+        for tick in reversed(range(40))
+        for after_s in HINDSIGHT_S
+    ]
     assert asked == once_each and np.array_equal(again.truth, segment.truth)
     assert (again.visible[:, 7] <= crash_times_to_codes(np.array([0.2]))).all()
     others = np.delete(np.arange(81), 7)

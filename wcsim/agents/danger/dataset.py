@@ -33,13 +33,13 @@ from wcsim.supervisor.rewards import reward_of_distance
 from wcsim.types import F32, F64, I64, U8, Bool
 
 UNKNOWN: Final = 2  # label of a joystick position that was not tried
-CRASH_STEPS: Final = 10  # before a crash, in which the stick that was held counts as unsafe
-_TIGHT_LABEL: Final = 0.35  # a step with such a label or more is tight: a crash within a second
+CRASH_S: Final = 1.0  # before a crash, in which the stick that was held counts as unsafe
+_TIGHT_LABEL: Final = 0.34  # a step with such a label or more is tight: a crash within a second
 # Within this distance joystick positions share a label: neighbours are 0.25 apart.
 _SHARED_DISTANCE = 0.26
 _HELD_DISTANCE = 0.5  # within it a stick counts as held, as hands tremble
 _DISCOUNT: Final = 0.9  # of the reward, per tick
-_HORIZON_TICKS: Final = 20  # after so many a crash counts for little
+_HORIZON_S: Final = 2.0  # later a crash counts for little
 _MIRRORED_STATE = (1, 2, 4)  # y, yaw and w change their sign when left and right change places
 _ZSTD_LEVEL = 1
 
@@ -129,7 +129,8 @@ class Dataset:
                     f"danger.teacher={danger.teacher} expected users and networks: collect it again"
                 )
             if danger.teacher == "returns":
-                return _label_by_returns(segment, self._actions, self._config.reward)
+                horizon = round(_HORIZON_S / tick_s)
+                return _label_by_returns(segment, self._actions, self._config.reward, horizon)
             return _label_by_crashes(segment, self._actions, danger.ahead, tick_s)
 
         # 2. An oracle. A crash that happened overrules it.
@@ -141,7 +142,8 @@ class Dataset:
             )
         codes = segment.truth if danger.teacher == "truth" else segment.visible
         unsafe = mask_soon_unsafe_actions(codes, segment.ended, danger.ahead).astype(np.uint8)
-        unsafe[_label_by_crashes(segment, self._actions, CRASH_STEPS, tick_s) == 1] = 1
+        ahead = round(CRASH_S / tick_s)
+        unsafe[_label_by_crashes(segment, self._actions, ahead, tick_s) == 1] = 1
         return unsafe
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -259,12 +261,14 @@ def _label_by_crashes(segment: DrivingSegment, actions: ActionSet, ahead: int, t
     return np.where(_near_executed(segment, actions), label[:, None], np.uint8(UNKNOWN))
 
 
-def _label_by_returns(segment: DrivingSegment, actions: ActionSet, reward: RewardConfig) -> F32:
+def _label_by_returns(
+    segment: DrivingSegment, actions: ActionSet, reward: RewardConfig, horizon: int
+) -> F32:
     """(N, A) how bad the return after a position is, as a share of a crash; or UNKNOWN.
 
     The return is the discounted reward of Table 2 from the tick on in which the position acted. It
     lacks the reward for the distance of sticks, which is known without learning. The executed
-    position and its neighbours have a label.
+    position and its neighbours have a label. A crash `horizon` steps later counts for little.
     """
     points, rows = actions.points[segment.action], np.arange(len(segment))
     distance = np.minimum(np.linalg.norm(points - segment.stick, axis=1), reward.max_distance)
@@ -275,7 +279,7 @@ def _label_by_returns(segment: DrivingSegment, actions: ActionSet, reward: Rewar
         returns[row] = rest[row] + (0.0 if row == end[row] else _DISCOUNT * returns[row + 1])
     acts = rows + segment.delay
     # What would follow the last step is unknown, unless that is a crash or far away.
-    known = (acts <= end) & (segment.crashed[end] | (end - acts >= _HORIZON_TICKS))
+    known = (acts <= end) & (segment.crashed[end] | (end - acts >= horizon))
     share = np.clip(-returns[np.minimum(acts, end)] / reward.crash, 0.0, 1.0)
     label = np.where(known, share, UNKNOWN).astype(np.float32)
     return np.where(_near_executed(segment, actions), label[:, None], np.float32(UNKNOWN))

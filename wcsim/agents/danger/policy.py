@@ -230,6 +230,7 @@ def save_danger(
         DiskFullError: There is no room.
     """
     facts = {
+        "schema_version": 2,
         "algorithm": "danger",
         "net": net.spec.net.model_dump(),
         "rule": rule.model_dump(),

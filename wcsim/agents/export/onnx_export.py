@@ -97,8 +97,9 @@ _OUTPUTS: Final = {
 }
 _VALUES: Final = (
     "the reward that the network expects from an action on, reward_scale times the sum of "
-    "discount^n times the reward of the nth tick; compare values of one tick, they are no "
-    "probabilities and no dangers"
+    "discount^n times the reward of the nth tick (of head=residual the reward for the distance of "
+    "sticks is that of the action alone); compare values of one tick, they are no probabilities "
+    "and no dangers"
 )
 _WARNING: Final = (
     "already in `warning`: with level = the mean of its last value and of 1 where the action "

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import FrameType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -144,23 +144,28 @@ class EpisodeMetricsCallback(SeqDqnCallback):
             # The first reading in each hundred steps.
             if self.num_timesteps % ROW_STEPS < GREEDY_EVERY * learner.n_envs:
                 self._write_steps_row()
-        # 2. The value of the greedy action where an episode starts.
+        # 2. The value of the greedy action where an episode starts, as far as it is learned.
         starts = [seat for seat, sums in enumerate(self._by_seat) if not sums.kpis.ticks]
         if starts:
-            tensors, _ = learner.policy.obs_to_tensor(observation)
+            tensors: Any = learner.policy.obs_to_tensor(observation)[0]
             with torch.no_grad():
-                values = learner.q_net(tensors).max(dim=1).values
+                values = learner.q_net(tensors)
+                best = values.argmax(dim=1, keepdim=True)
+                learned = learner.q_net.learned(values, tensors).gather(1, best)
             for seat in starts:
                 self._by_seat[seat].discounted = _DiscountedReturn(
                     gamma=learner.gamma,
                     scale=learner.settings.reward_scale,
-                    start_value=float(values[seat]),
+                    start_value=float(learned[seat, 0]),
                 )
         # 3. What the step brought, and the rows of episodes that ended with it.
+        rests = learner.learned_rewards(self.locals["actions"], self.locals["rewards"])
         for seat, info in enumerate(self.locals["infos"]):
             # A world that was restarted ends an episode in a step that was not driven.
             if not info.get(WORLD_RESTARTED):
-                self._by_seat[seat].add(float(self.locals["rewards"][seat]), info)
+                self._by_seat[seat].add(
+                    float(self.locals["rewards"][seat]), float(rests[seat]), info
+                )
             if self.locals["dones"][seat]:
                 self._write_episode_row(seat, info)
         return True
@@ -288,10 +293,10 @@ class _EpisodeSums:
     greedy: list[float] = field(default_factory=list)  # joystick distances
     discounted: _DiscountedReturn = field(default_factory=_DiscountedReturn)
 
-    def add(self, reward: float, info: Info) -> None:
-        """Add a step, by an environment's `info`."""
+    def add(self, reward: float, learned: float, info: Info) -> None:
+        """Add a step, by an environment's `info`; its reward, and the part that is learned."""
         self.reward += reward
-        self.discounted.add(reward)
+        self.discounted.add(learned)
         self.progress_m += float(info.get("progress_m", 0.0))
         events = _events(info)
         happened = {"arrivals"} if events is not None and events.arrived else set()

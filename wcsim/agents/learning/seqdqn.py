@@ -200,17 +200,19 @@ class SeqDQN(DQN):
             return self._greedy
         return self.policy.predict(observation, deterministic=True)[0]
 
-    def _store_transition(self, replay_buffer: ReplayBuffer, *step: Any) -> None:
-        """Store a step and the state before it; seats whose episode ended lose their state.
+    def learned_rewards(self, actions: Array, rewards: Array) -> Array:
+        """Rewards (N,) of the present step, less what following pays if the head knows that."""
+        if self.q_net.spec.head != "residual":
+            return rewards
+        sticks = torch.as_tensor(self._last_obs[JOYSTICK_KEY], device=self.device)
+        known = self.q_net.follow_reward(sticks).cpu().numpy() / self.settings.reward_scale
+        rest: Array = rewards - known[np.arange(len(known)), np.asarray(actions).reshape(-1)]
+        return rest
 
-        Of a head that knows what following pays, the rest of the reward is stored.
-        """
-        if self.q_net.spec.head == "residual":
-            actions, new, rewards, *others = step
-            sticks = torch.as_tensor(self._last_obs[JOYSTICK_KEY], device=self.device)
-            known = self.q_net.follow_reward(sticks).cpu().numpy() / self.settings.reward_scale
-            paid = known[np.arange(len(known)), np.asarray(actions).reshape(-1)]
-            step = actions, new, rewards - paid, *others
+    def _store_transition(self, replay_buffer: ReplayBuffer, *step: Any) -> None:
+        """Store a step and the state before it; seats whose episode ended lose their state."""
+        actions, new, rewards, *others = step
+        step = actions, new, self.learned_rewards(actions, rewards), *others
         groups = self.replay_buffer.groups
         if groups is not None and self._carried is not None:
             groups.next_states = self._carried[0]

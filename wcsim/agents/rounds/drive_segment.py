@@ -67,7 +67,7 @@ _PUSH_Y, _PUSH_SPREAD = 0.9, 0.2  # mean and standard deviation of the stick tha
 _RECKLESS_SHARE = 0.4  # of the random offsets: the stick is executed as it is
 _SCENE_SEEDS: Final = 1 << 24  # first seed of scenes for training; those for tests are far below
 _SCENES: Final = 12  # in a segment
-HINDSIGHT_TICKS: Final = (10, 20)  # after which it is seen how others went on
+HINDSIGHT_S: Final = (1.0, 2.0)  # after which it is seen how others went on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -491,12 +491,16 @@ class _SeatRecorder:
         # 1. What would have followed is unknown.
         self.rows[-1]["ended"] = True
 
-        # 2. The oracle supposed that others would go on as they did. What they did counts, too.
-        for tick, reassess in enumerate(self.judges):
-            for after in HINDSIGHT_TICKS:
-                ticks = min(after, len(actors) - 1 - tick)
-                later = {actor.id: actor for actor in actors[tick + ticks]}
-                codes, row = crash_times_to_codes(reassess(later, ticks * tick_s)), self.rows[tick]
+        # 2. The oracle supposed that others would go on as they did. What they did counts, too, as
+        # long as the episode lasts: then the chair starts elsewhere.
+        end = len(self.rows)
+        for tick in reversed(range(len(self.judges))):
+            row = self.rows[tick]
+            end = tick + 1 if row["ended"] else end
+            for after_s in HINDSIGHT_S:
+                then = min(tick + max(1, round(after_s / tick_s)), end)
+                later = {actor.id: actor for actor in actors[then]}
+                codes = crash_times_to_codes(self.judges[tick](later, (then - tick) * tick_s))
                 row["visible"] = np.minimum(row["visible"], codes)
 
 

@@ -257,7 +257,7 @@ def write_data_manifest(folder: Path, config: RunConfig, towns: Hashes, segments
     """
     digest = hash_segments(segments)
     data = {
-        "schema_version": 2,
+        "schema_version": 3,
         "settings_sha256": _settings_digest(config),
         "config": config.model_dump(mode="json"),
         "plant_sha256": _plant_sha256(config),

@@ -78,7 +78,10 @@ def parse_saved(model: type[M], data: JsonObject, where: str) -> M:
     try:
         return parse(model, data, where)
     except ConfigError as error:
-        raise PolicyError(str(error)) from None
+        again = (
+            ": another version wrote it, make it again" if "schema_version" in str(error) else ""
+        )
+        raise PolicyError(f"{error}{again}") from None
 
 
 def _read(path: Path) -> JsonObject:
