@@ -1,4 +1,4 @@
-"""Puts a trained run where `shipped` finds it: python tools/ship_policy.py RUN [--result result.json] [--to FOLDER].
+"""Puts a trained run where `shipped` finds it: python tools/ship_policy.py RUN [--level 0.1] [--result result.json].
 
 The folder holds policy.json, weights.safetensors, the ONNX model with what it means, and a card made from the run's
 manifest and the rows of the results that are given.
@@ -10,7 +10,6 @@ import argparse
 import json
 import shlex
 import shutil
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
@@ -40,9 +39,18 @@ from wcsim.core import files
 from wcsim.towns.scene_folders.families import TRAINED
 
 _COLUMNS = (
-    *("policy", "part", "crashes_any", "crashes_own", "km"),
-    *("followed", "speed_mps"),
-    *("arrived", "unneeded", "warned_share", "false_warnings_per_km", "score"),
+    "policy",
+    "part",
+    "crashes_any",
+    "crashes_own",
+    "km",
+    "followed",
+    "speed_mps",
+    "arrived",
+    "unneeded",
+    "warned_share",
+    "false_warnings_per_km",
+    "score",
 )
 _LIMITS = """- Simulation only: this says nothing about a real street, and no person has driven with it.
 - Its input is depth cameras at the positions above, with a class for each pixel.
@@ -52,11 +60,15 @@ _LIMITS = """- Simulation only: this says nothing about a real street, and no pe
 - Its dangers are not probabilities. The threshold was chosen on the towns above alone."""
 
 
-def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], to: Path) -> Path:
-    """Write the folder of a shipped policy in one step; returns it."""
-    policy = run.policy("final")
-    told = card(run, [row for path in results for row in rows_of(path, run.path)])  # before what takes long
+def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], to: Path, level: float) -> Path:
+    """Write the folder of a shipped policy of this level in one step; returns it."""
+    # Before what takes long.
+    told = card(run, [row for path in results for row in rows_of(path, run.path)], level)
     with tempfile.TemporaryDirectory() as held:
+        policy = shutil.copytree(run.policy("final"), Path(held) / "policy")
+        facts = json.loads((policy / POLICY_JSON).read_text(encoding="utf-8"))
+        facts["rule"]["threshold"] = level
+        files.write_json(policy / POLICY_JSON, facts)
         for delay, name in EXPORTED.items():
             config = resolve(run.config, f"world.action_delay_ticks={delay}")
             export_policy(*DANGER_ROUNDS.open_graph(policy, config), Path(held) / name, config, ride)
@@ -80,7 +92,7 @@ def rows_of(path: Path, run: Path) -> list[dict[str, Any]]:
     return [{**row, "from": place, "policy": row["policy"].replace(str(run), "shipped")} for row in found]
 
 
-def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
+def card(run: RunFolder, rows: Sequence[dict[str, Any]], level: float) -> str:
     """The model card, as Markdown."""
     manifest, config = run.manifest, run.config
     danger, collect = config.danger, config.collect
@@ -99,7 +111,7 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
         f"| data | {kept} segments of {collect.ticks} ticks with {collect.chairs} chairs, labels {danger.teacher} |",
         f"| seed | {manifest.seed} |",
         f"| network | street map, width {danger.width} |",
-        f"| rule | threshold {danger.threshold:g}, at once {danger.at_once:g}, warn {danger.warn:g} |",
+        f"| rule | threshold {level:g}, at once {danger.at_once:g}, warn {danger.warn:g} |",
         *(f"| camera `{camera.name}` | {camera_told(camera)} |" for camera in config.eyes.values()),
         f"| delay | {config.world.action_delay_ticks} ticks of {config.world.tick_s:g} s |",
         f"| versions | {', '.join(f'{name} {version}' for name, version in manifest.versions.items())} |",
@@ -223,16 +235,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--result", type=Path, action="append", default=[], help="a result.json; several are allowed")
-    parser.add_argument("--to", type=Path, default=None, help="another folder than that of this wcsim")
-    parser.add_argument("--town", default="helsinki", help="of the reference steps")
+    parser.add_argument("--level", type=float, help="the threshold; else that of its training")
     asked = parser.parse_args()
     from wcsim.agents.opening.named_policy import open_named_policy  # these load the simulators
     from wcsim.agents.rounds.recorded_ride import reference_ride
 
     run = open_run(asked.run)
-    ride = reference_ride(asked.town, run.config, 200, open_named_policy(str(asked.run), run.config, 0))
-    folder = ship(run, ride, asked.result, asked.to or get_shipped_policy_path())
-    sys.stdout.write(f"shipped: {folder}\n")
+    level = asked.level or run.config.danger.threshold
+    ride = reference_ride("helsinki", run.config, 200, open_named_policy(f"{asked.run}@{level:g}", run.config, 0))
+    ship(run, ride, asked.result, get_shipped_policy_path(), level)
 
 
 if __name__ == "__main__":

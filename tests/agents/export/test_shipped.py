@@ -39,7 +39,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "result.json").write_text(json.dumps(rows))
     (place / "here").mkdir()
     (place / "here" / "README.md").write_text("kept\n")
-    folder: Path = TOOL["ship"](open_run(place / "run"), ride(4), [place / "result.json"], place / "here")
+    folder: Path = TOOL["ship"](open_run(place / "run"), ride(4), [place / "result.json"], place / "here", 0.3)
     return folder
 
 
@@ -61,9 +61,9 @@ def test_a_folder_that_was_dropped_there_is_the_policy_of_that_name(there):
 
 def test_its_card_says_how_it_was_made_and_measured(made):
     card = (made / "MODEL_CARD.md").read_text()
-    for word in ("helsinki", "wcsim train --seed 3", "street map", "crashes_own", "| 2 |", "## Limits", "seed | 3"):
+    for word in ("helsinki", "wcsim train --seed 3", "street map", "crashes_own", "| 2 |", "seed | 3", "old 0.3"):
         assert word in card
-    assert "No results" in TOOL["card"](open_run(made.parent / "run"), [])
+    assert "No results" in TOOL["card"](open_run(made.parent / "run"), [], 0.3)
 
 
 def test_its_card_says_where_the_camera_sits_and_its_noise_in_words(made):
@@ -99,20 +99,20 @@ def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, t
         f"{collect} --seed 1 --segments 2",
         f"{collect} --seed 2 --segments 1",
     ]
-    card = TOOL["card"](run, [])
+    card = TOOL["card"](run, [], 0.3)
     assert "| trained in | helsinki, corner, monaco (streets" in card and "| data | 3 segments" in card
     assert "switch, ataxic; recorded is held out |" in card
     began_with = {str(collected): {f"{names[0]}.npz.zst": "d" * 64}}
     files.write_json(run.path / LEARNED, {"schema_version": 1, "folders": began_with})
     assert [line.split(told)[0] for line in TOOL["commands"](run)[:-1]] == [f"{collect} --seed 1 --segments 1"]
-    assert "| data | 1 segments" in TOOL["card"](run, [])
+    assert "| data | 1 segments" in TOOL["card"](run, [], 0.3)
 
 
 def test_what_cannot_be_told_is_known_before_anything_is_exported(tmp_path):
     own = resolve(OWN, f'collect.data=["{tmp_path / "gone"}"]')
     run = create_run_folder(tmp_path / "run", own, make_run_manifest(own, RunInfo(seed=3, town="helsinki")))
     with pytest.raises(PolicyError, match=r"gone/data\.json"):
-        TOOL["ship"](run, ride(4), [], tmp_path / "here")
+        TOOL["ship"](run, ride(4), [], tmp_path / "here", 0.3)
 
 
 @pytest.mark.parametrize("name", policy_file.HELD)
