@@ -19,7 +19,7 @@ from wcsim.config import CameraConfig, RunConfig, WorldConfig
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, I32, U8, ClassId, SeatSpec, StreetMesh
 from wcsim.view.filming import SIGHT_M
-from wcsim.view.street_pictures import Moment, PageLooks, SeenStreet, StreetPictures, moment_of
+from wcsim.view.street_pictures import Moment, SeenStreet, StreetPictures, moment_of
 
 ASKED: Final = {
     "kerb": "Which kerb is higher, A or B? Answer A or B.",
@@ -32,7 +32,7 @@ _SURFACES: Final = {
     ClassId.SIDEWALK: "pavement", ClassId.ROAD: "road", ClassId.CROSSWALK: "crossing", ClassId.GROUND: "open ground",
     ClassId.TERRAIN: "grass",
 }  # fmt: skip
-_LOOKS: Final = PageLooks()
+_SIZE_PX: Final = (800, 450)
 _EVERY_TICKS, _BEFORE_TICKS, _DRIVE_TICKS = 20, 5, 600
 _MOVES_MPS, _DRIVES = 0.3, 4  # drives for each item that is wanted of a question
 _KERB_M, _HIGHER_M, _APART_PX = 9.0, 0.03, 60  # how near kerbs are, how much one is higher, how far apart they are seen
@@ -91,7 +91,7 @@ def _of_drive(town: Town, seed: int, rng: np.random.Generator, lacking: dict[str
     """The items of one drive, at most one of a moment; the question that lacks most comes first."""
     config = RunConfig(cameras=(CameraConfig(width_px=16, height_px=12),), world=WorldConfig(mirror_radius_m=SIGHT_M))
     with World(town, config, (SeatSpec(profile="competent"),), seed) as world:
-        pictures, kerbs = StreetPictures(world.street, None), _kerbs(world.street.mesh)
+        pictures, kerbs = StreetPictures(world.street), _kerbs(world.street.mesh)
         before: U8 | None = None
         waiting: _Look | None = None
         for tick, step in zip(range(_DRIVE_TICKS), rollout(world), strict=False):
@@ -125,7 +125,7 @@ def _most_lacking(lacking: dict[str, int], rng: np.random.Generator) -> str:
 def _look(world: World, pictures: StreetPictures) -> _Look:
     client, seat = world.snapshot.clients[0], world.seats[0]
     moment = moment_of(world, client, seat.route, seat.user.route_progress_m)
-    scene = pictures.behind(replace(moment, route=None), _LOOKS)  # the dots of its way are no part of the street
+    scene = pictures.behind(replace(moment, route=None), *_SIZE_PX)  # the dots of its way are no part of the street
     return _Look(moment=moment, scene=scene, speed_mps=math.hypot(*client.plant.v_B_mps[:2].tolist()))
 
 

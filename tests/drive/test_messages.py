@@ -9,15 +9,13 @@ from hypothesis import strategies as st
 from wcsim.drive import messages as m
 from wcsim.drive.driven import DriverKind
 from wcsim.errors import ProtocolError
-from wcsim.view.street_pictures import CameraKind
+from wcsim.view.street_scene import CameraKind
 
 GOOD = (
     m.Stick(x=0.5, y=-1.0, overrule=True),
     m.Help(),
     m.Shown(number=7),
-    m.SetView(
-        turn_rad=1.0, tilt_rad=0.2, distance_m=5.0, width_px=800, height_px=450, camera=CameraKind.DEPTH, chart=True
-    ),
+    m.SetView(camera=CameraKind.DEPTH),
     m.Assist(on=True),
     m.SetLevel(level=0.3),
     m.ShapeStick(speed=0.6, sensitivity=0.5),
@@ -68,7 +66,7 @@ def test_what_a_page_says_is_read_as_it_was_said(message: m.PageMessage) -> None
         b'{"say":"goon","step":-1}',
         b'{"say":"answerall","step":1,"answers":[11]}',
         b'{"say":"answerall","step":1,"answers":[' + b",".join([b"0"] * 21) + b"]}",
-        b'{"say":"setview","turn_rad":0}',
+        b'{"say":"setview","camera":"colour"}',
         b'{"say":"gone"}',
         b'{"say":"ready"}',
         b'{"say":"end"}',  # of the server alone

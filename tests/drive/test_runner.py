@@ -1,6 +1,7 @@
 import json
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -22,10 +23,10 @@ States = list[dict[str, Any]]
 SLOW_S = 40.0  # to open a street that was never built
 
 
-def received(server: Connection) -> list[bytes]:
-    """What the server has heard by now."""
+def received(server: Connection, wait_s: float | None = 0.0) -> list[bytes]:
+    """What the server has heard by now; with None all, until the other end is closed."""
     heard = []
-    while server.poll():
+    while server.poll(wait_s):
         try:
             heard.append(server.recv_bytes())
         except EOFError:
@@ -53,9 +54,11 @@ def heard_of(corner: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., lis
         for message in (*said, {"say": "end"}):
             server.send(as_said(**message))
         start = DriveStart(town=str(corner), policy=policy, seed=seed)
-        _DriveRunner(pipe, start, clock=lambda: now_s[0]).run()
-        pipe.close()
-        return received(server)
+        with ThreadPoolExecutor(1) as reads:  # a pipe holds less than a street
+            found = reads.submit(received, server, None)
+            _DriveRunner(pipe, start, clock=lambda: now_s[0]).run()
+            pipe.close()
+            return found.result()
 
     return heard
 

@@ -10,15 +10,12 @@ from wcsim.core.reading import escape
 from wcsim.drive.driven import LEAST_SENSITIVITY, LEAST_SPEED, MOST_SENSITIVITY, DriverKind
 from wcsim.errors import ProtocolError
 from wcsim.supervisor.kpi import KpiTotals
-from wcsim.view.street_pictures import LARGEST_PX, SMALLEST_PX, CameraKind
+from wcsim.view.street_scene import CameraKind
 
 MOST_BYTES: Final = 2048  # of a page's message
 Part = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
 Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 31)]
 Name = Annotated[str, msgspec.Meta(max_length=400)]
-Turn = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
-Metres = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
-Pixels = Annotated[int, msgspec.Meta(ge=SMALLEST_PX, le=LARGEST_PX)]
 Speed = Annotated[float, msgspec.Meta(ge=0.0, le=8.0)]
 AnswerNumber = Annotated[int, msgspec.Meta(ge=-1, lt=MOST_STEPS)]
 Level = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
@@ -51,15 +48,9 @@ class Shown(PageMessage, frozen=True):
 
 
 class SetView(PageMessage, frozen=True):
-    """What the page shows."""
+    """What the page shows of the chair's own camera."""
 
-    turn_rad: Turn
-    tilt_rad: Turn
-    distance_m: Metres
-    width_px: Pixels
-    height_px: Pixels
     camera: CameraKind
-    chart: bool
 
 
 class Assist(PageMessage, frozen=True):
@@ -235,6 +226,7 @@ def spoken(say: str, told: Mapping[str, object]) -> bytes:
     - `study`: the `view` of a step, see `step_view`.
     - `busy`: the street is not there yet, in a line; with `waits` False nothing is waited for any more.
     - `about`, `state`: see `_drive_about`, `_drive_state`, and of a film `_film_about`, `_film_state`.
+    - `street`, `way`: what there is to load around the chair, see `StreetFeed`, and its route.
     - `marks`: all marks of a film's time line, see `_FilmMark`.
     """
     return msgspec.json.encode({"say": say, **told})

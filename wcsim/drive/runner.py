@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from wcsim.agents.opening.list_file import list_shipped_suites, open_suite
+from wcsim.config import CameraConfig
 from wcsim.core.files import iter_unused_paths
 from wcsim.core.frames import rad2deg
 from wcsim.core.reading import pluralize
@@ -27,15 +28,16 @@ from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
 from wcsim.errors import WcsimError
 from wcsim.log.records import DriveTick, Note
 from wcsim.towns.scenario.town import list_towns
-from wcsim.types import Joystick
+from wcsim.types import Joystick, Street
 from wcsim.types.chair import AT_REST
 from wcsim.users.profiles import list_profile_names
-from wcsim.view.street_pictures import Moment, PageLooks, StreetPictures, clamped, moment_of
+from wcsim.view.street_pictures import Moment, moment_of
+from wcsim.view.street_scene import CameraKind, StreetFeed
 
-JSON, PICTURES, LINE, DONE = b"J", b"P", b"L", b"D"  # what a message to the server is; the last: a slow wish is done
+# What a message to the server is; the last: a slow wish is done.
+JSON, PICTURES, LINE, FILE, DONE = b"J", b"P", b"L", b"F", b"D"
 Does = dict[type, Callable[[Any], object]]
 """What is done about a message of the page, by its kind; it may raise WcsimError, of which the page is told."""
-_LONGEST_S: Final = 1.0  # between two pictures, for the camera that comes after the chair
 
 
 class PageRunner(ABC):
@@ -48,11 +50,10 @@ class PageRunner(ABC):
 
     def __init__(self, pipe: Connection, clock: Callable[[], float] = time.monotonic) -> None:
         self._pipe, self._now_s = pipe, clock
-        self._pictures: StreetPictures | None = None
-        self._looks = PageLooks()
+        self._feed: StreetFeed | None = None
+        self._streets, self._camera = 0, CameraKind.NOTHING
         self._ready, self._stale = False, True  # the page takes pictures; those that it has are old
         self._over = False
-        self._drawn_s = 0.0
         self._does: Does = {m.SetView: self._view, m.Ready: self._take_ready, m.End: self._end}
 
     def run(self) -> None:
@@ -109,13 +110,19 @@ class PageRunner(ABC):
                 self._stale = True
                 self._heard()
 
-    def _draw(self, moment: Moment, pictures: StreetPictures, pace: float) -> None:
-        """Send pictures of a moment; `pace` is that of time, 0 while it stands."""
-        now_s = self._now_s()
-        dt_s = min(_LONGEST_S, now_s - self._drawn_s) * pace
-        self._pipe.send_bytes(PICTURES + pictures.draw(moment, self._looks, dt_s))
+    def _open_feed(self, street: Street, front: CameraConfig | None) -> None:
+        self._streets += 1
+        self._feed = StreetFeed(street, front, self._streets)
+
+    def _draw(self, moment: Moment, feed: StreetFeed) -> None:
+        """Send a moment, after what a page needs for it."""
+        for name, told in feed.news(moment):
+            if isinstance(told, bytes):
+                self._pipe.send_bytes(FILE + name.encode() + b"\0" + told)
+            else:
+                self._say(name, **told)
+        self._pipe.send_bytes(PICTURES + feed.picture(moment, self._camera))
         self._ready = self._stale = False
-        self._drawn_s = now_s
 
     def _say(self, say: str, **told: object) -> None:
         self._pipe.send_bytes(JSON + m.spoken(say, told))
@@ -127,9 +134,7 @@ class PageRunner(ABC):
         self._pipe.send_bytes(LINE + told.encode())
 
     def _view(self, said: m.SetView) -> None:
-        orbit = clamped(said.turn_rad, said.tilt_rad, said.distance_m)
-        size = {"width_px": said.width_px, "height_px": said.height_px}
-        self._looks = PageLooks(orbit=orbit, camera=said.camera, chart=said.chart, **size)
+        self._camera = said.camera
 
     def _take_ready(self, _: m.Ready) -> None:
         self._ready = True
@@ -333,12 +338,12 @@ class _DriveRunner(PageRunner):
             self._lead.driven()
 
     def _show(self) -> None:
-        session, pictures = self.session, self._pictures
-        if session is None or pictures is None:
+        session, feed = self.session, self._feed
+        if session is None or feed is None:
             return
         jumped, self._drawn_episode = session.episode != self._drawn_episode, session.episode
         moment = moment_of(session.world, session.client, session.route, session.done_m, jumped=jumped)
-        self._draw(moment, pictures, 0.0 if self.clock.paused else 1.0)
+        self._draw(moment, feed)
         self._unseen = False
 
     def _note(self, record: DriveRecord) -> None:
@@ -440,13 +445,13 @@ class _DriveRunner(PageRunner):
             speed, sensitivity = self.session.shape
             start = replace(start, speed=speed, sensitivity=sensitivity)
         self.close()
-        self._pictures = None
+        self._feed = None
         self._watch.require_rest()
         self.session = session = DriveSession(start, (self._note,), self._busy)
         if self._names is not None:
             session.add_observer(SessionRecorder(session, self._names, self._tell_kept))
         session.face_way()
-        self._pictures = StreetPictures(session.world.street, session.world.config.cameras[0])
+        self._open_feed(session.world.street, session.world.config.cameras[0])
         self._drawn_episode = -1
         self.clock.opened(self._now_s())
         self._stale, self._unseen, self._told_failure = True, True, False
@@ -548,7 +553,7 @@ def _drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go
         "speed_mps": round(last.speed_mps, 3),
         "left_m": round(session.left_m, 1),
         "bearing_deg": round(rad2deg(session.bearing_rad)),  # of the way ahead, from the chair's heading to the left
-        "crash": session.crash_told,
+        "crash": session.crash,
         "profile": session.profile,
         "kpis": m.kpis_of(session.metrics, session.tick_s),
         "real": round(session.tick_s / clock.gap_s, 2) if clock.gap_s > 0.0 else 1.0,  # times real time, a mean

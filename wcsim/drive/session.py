@@ -21,7 +21,6 @@ from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.log.records import Admitted, DriveTick, Note, Respawned, end_fields_from_snapshot
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
-from wcsim.supervisor.rewards import find_hardest_contact
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
 from wcsim.types.chair import AT_REST
 from wcsim.users.hand import clip_stick_to_gate
@@ -30,7 +29,6 @@ from wcsim.users.recordings.recorded_user import find_user
 _NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person: known at the ticks' beginnings alone
 _FACES_RAD: Final = math.radians(45.0)  # a way within this to either side is one that a start faces
 _START_TRIES: Final = 6
-_BESIDE_M: Final = 0.3  # from the chair's outline to where a wall is looked for
 _BACK_M: Final = 5.0  # from a crash to where the next episode begins
 _NEAR: Final = 20  # points of the way, a metre from each other, at which a start may be that is to face it
 _TRAIL_M: Final = 0.5  # between places of the trail
@@ -73,7 +71,6 @@ class DriveSession(ClosingContextBase):
         self.last: DriveTick | None = None  # of this episode
         self.unsafe: tuple[int, ...] = ()  # actions that the policy held for unsafe then; empty where it does not say
         self.shape = (start.speed, start.sensitivity)  # of the person's stick
-        self._before_mps = 0.0  # before the last tick, of a crash before the touch
         self._said = (False, False, False)  # warning, intervening, overruled, of the tick before
         self._seen: Mapping[str, Any] = {}  # the observation of now, and its info
         self._info: dict[str, Any] = {}
@@ -124,43 +121,6 @@ class DriveSession(ClosingContextBase):
     def crash(self) -> str:
         """What the last tick crashed into, in words, without the place; "" where it did not."""
         return self.client.events.crash.partition(", at x ")[0] if self._ended else ""
-
-    @property
-    def crash_told(self) -> str:
-        """What it crashed into, on which side and how fast, for who sits in the chair; "" where it did not."""
-        words = self.crash
-        if not words:
-            return ""
-        if words.startswith("drove into "):
-            words = f"hit {words.removeprefix('drove into ')}"
-        words = words.replace("was hit", "were hit").replace("was shaken", "were shaken")
-        return f"You {words}{self._crash_side()} at {self._before_mps:.1f} m/s."
-
-    def _crash_side(self) -> str:
-        """On which side of the chair it is what was hit: a road user, or the nearest wall; "" for ground and kerbs."""
-        plant, outline = self.client.plant, self.world.seats[0].chair.outline
-        touch = find_hardest_contact(self.client.events.crash_reason, self.client.contacts, self.world.config.reward)
-        if touch is None or touch.kind in ("ground", "kerb"):
-            return ""
-        hit = next((actor.p_W_m for actor in self.world.snapshot.actors if actor.id == touch.actor_id), None)
-        if hit is None:
-            turns = plant.yaw_rad + np.linspace(-math.pi, math.pi, 32, endpoint=False)
-            ring = np.c_[np.cos(turns), np.sin(turns)]
-            around = plant.p_WB_m[:2] + outline.middle_x_m * np.array(
-                [math.cos(plant.yaw_rad), math.sin(plant.yaw_rad)]
-            )
-            places = around + (0.5 * outline.length_m + _BESIDE_M) * ring
-            clear_m = self.world.street.grid.clearance_at(places)
-            if clear_m.min() > _BESIDE_M:
-                return ""
-            hit = places[int(clear_m.argmin())]
-        gap = hit[:2] - plant.p_WB_m[:2]
-        from_ahead_rad = math.remainder(math.atan2(gap[1], gap[0]) - plant.yaw_rad, 2.0 * math.pi)
-        if abs(from_ahead_rad) < _FACES_RAD:
-            return " in front of you"
-        if abs(from_ahead_rad) > math.pi - _FACES_RAD:
-            return " behind you"
-        return f" on your {'left' if from_ahead_rad > 0.0 else 'right'}"
 
     @property
     def ended(self) -> bool:
@@ -299,7 +259,6 @@ class DriveSession(ClosingContextBase):
             pace=wish.pace,
             **end_fields_from_snapshot(self.client),
         )
-        self._before_mps = 0.0 if self.last is None else self.last.speed_mps
         self.last, self.unsafe, self._help = driven, answer.unsafe, False
         helped = self.assistance.help_left > 0
         self.assistance.end_tick()

@@ -1,16 +1,13 @@
-"""The street from behind the chair, the chair's own camera, and a map: for pages and reports.
+"""The street from behind the chair: pictures for films and reports.
 
-The picture's camera stands on a sphere around the chair, behind it unless it was turned. It keeps walls out of the
-view: where one stands before the chair, it comes higher, or nearer.
+The camera keeps walls out of the view: where one stands before the chair, it comes higher, or nearer.
 """
 
 from __future__ import annotations
 
 import math
-import struct
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import cv2
@@ -18,7 +15,6 @@ import numpy as np
 
 from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
-from wcsim.config import CameraConfig
 from wcsim.core.frames import deg2rad
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, new_images
@@ -27,21 +23,17 @@ from wcsim.physics.renderer.cast import Cast
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import ChairPose, Instances, actor_instances, chair_pose, rotation_of
 from wcsim.physics.renderer.raster import RasterRenderer
-from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, look_at, mount, pinhole, pose_matrix
+from wcsim.physics.sensors.camera_geometry import focal_px, look_at
 from wcsim.types import F64, I32, U8, ActorState, Bool, CameraFrame, ClientSnapshot, Route, SignalState, Street
 from wcsim.types.street import Ground
 from wcsim.view.filming import SIGHT_M
-from wcsim.view.map import MapView
-from wcsim.view.pictures import class_colours, depth_colours, with_legend
 
 if TYPE_CHECKING:  # a page for drivers does not load it
     from wcsim.agents.evaluation.suite.playback import PlayedStep
 
-_NEAREST_M, _FARTHEST_M = 2.0, 40.0
-_LOWEST_RAD, _HIGHEST_RAD = math.radians(4.0), math.radians(88.0)
+DISTANCE_M: Final = 6.0  # of the camera from the chair
 AIM_M = 0.9  # above the ground: the middle of who sits in the chair
 _AHEAD_SHARE = 0.35  # of the distance: the camera aims so far ahead of the chair while it looks from behind
-_TURN_LAG_S = 0.5  # the camera comes after a turn of the chair so slowly, which spares the stomach
 _AHEAD_M: Final = 30.0
 _EVERY_M: Final = 0.9
 _OVER_M: Final = 0.06  # so high above the ground, or it would lie in it
@@ -57,74 +49,33 @@ _LOOK = Pinhole(width_px=_PX, height_px=_PX, focal_px=6.0 * _PX, near_m=0.05, ra
 _MARGIN_M: Final = 0.3  # before a wall
 _ROOM_M: Final = 3.5  # from so far away a chair is seen whole, with some street around it
 _LEAST_M: Final = 1.2
-_TILTS_RAD: Final = tuple(math.radians(step) for step in range(0, 75, 12))  # above the one that was asked for
-_LAG_S: Final = 0.3
+_TILTS_RAD: Final = tuple(math.radians(22.0 + step) for step in range(0, 67, 12))  # above the horizon
 _FIELD_RAD: Final = deg2rad(54.0)  # of the picture's shorter side, about
-_QUALITY: Final = 80
-_CAMERA_PX: Final = (320, 240)
-_MAP_PX, _MAP_SPAN_M = 320, 60.0
-_PART = struct.Struct("<cI")
-_HEAD = struct.Struct("<I")
 _NO_SEAT: Final = -1
-SMALLEST_PX, LARGEST_PX = 160, 1280
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Orbit:
-    """How a person has turned the camera."""
-
-    turn_rad: float = 0.0  # around the chair, 0 from behind, positive to its left side
-    tilt_rad: float = math.radians(22.0)  # above the horizon
-    distance_m: float = 6.0
-
-
-def clamped(turn_rad: float, tilt_rad: float, distance_m: float) -> _Orbit:
-    """An orbit within its bounds.
-
-    >>> clamped(7.0, 9.0, 0.1).distance_m, round(clamped(7.0, 0.1, 3.0).turn_rad, 3)
-    (2.0, 0.717)
-    """
-    return _Orbit(
-        turn_rad=math.remainder(turn_rad, 2.0 * math.pi),
-        tilt_rad=min(max(tilt_rad, _LOWEST_RAD), _HIGHEST_RAD),
-        distance_m=min(max(distance_m, _NEAREST_M), _FARTHEST_M),
-    )
-
-
-def _eased(yaw_rad: float, wanted_rad: float, dt_s: float) -> float:
-    """The camera's yaw `dt_s` later, on its way to that of the chair.
-
-    >>> round(_eased(0.0, 1.0, 10.0), 3), round(_eased(3.1, -3.1, 0.1), 3)
-    (1.0, 3.115)
-    """
-    gap = math.remainder(wanted_rad - yaw_rad, 2.0 * math.pi)
-    return math.remainder(yaw_rad + gap * (1.0 - math.exp(-dt_s / _TURN_LAG_S)), 2.0 * math.pi)
-
-
-def _eye(p_WB_m: F64, yaw_rad: float, orbit: _Orbit) -> F64:
-    """World to camera frame (3, 4) of the camera that looks at a chair at p (3,), whose heading is taken for `yaw_rad`.
+def _eye(p_WB_m: F64, yaw_rad: float, tilt_rad: float, distance_m: float) -> F64:
+    """World to camera frame (3, 4) of the camera that looks at a chair at p (3,) from behind.
 
     >>> import numpy as np
-    >>> T_CW = _eye(np.zeros(3), 0.0, _Orbit(distance_m=6.0))
+    >>> T_CW = _eye(np.zeros(3), 0.0, 0.4, 6.0)
     >>> bool((T_CW[:, :3] @ np.array([0.0, 0.0, AIM_M]) + T_CW[:, 3])[2] > 0.0)
     True
     """
-    ahead_m = _AHEAD_SHARE * orbit.distance_m * math.cos(orbit.tilt_rad) * max(0.0, math.cos(orbit.turn_rad))
+    ahead_m = _AHEAD_SHARE * distance_m * math.cos(tilt_rad)
     aim_W_m = p_WB_m + np.array([ahead_m * math.cos(yaw_rad), ahead_m * math.sin(yaw_rad), AIM_M])
-    return look_at(_stand(p_WB_m, yaw_rad, orbit), aim_W_m)
+    return look_at(_stand(p_WB_m, yaw_rad, tilt_rad, distance_m), aim_W_m)
 
 
-def _stand(p_WB_m: F64, yaw_rad: float, orbit: _Orbit) -> F64:
+def _stand(p_WB_m: F64, yaw_rad: float, tilt_rad: float, distance_m: float) -> F64:
     """Where that camera stands in W, (3,).
 
     >>> import numpy as np
-    >>> _stand(np.zeros(3), 0.0, _Orbit(tilt_rad=0.0, distance_m=6.0)).round(3).tolist()
+    >>> _stand(np.zeros(3), 0.0, 0.0, 6.0).round(3).tolist()
     [-6.0, 0.0, 0.9]
     """
-    from_rad = yaw_rad + math.pi - orbit.turn_rad
-    flat_m = orbit.distance_m * math.cos(orbit.tilt_rad)
-    up_m = AIM_M + orbit.distance_m * math.sin(orbit.tilt_rad)
-    stand_W_m: F64 = p_WB_m + np.array([flat_m * math.cos(from_rad), flat_m * math.sin(from_rad), up_m])
+    flat_m, up_m = distance_m * math.cos(tilt_rad), AIM_M + distance_m * math.sin(tilt_rad)
+    stand_W_m: F64 = p_WB_m + np.array([-flat_m * math.cos(yaw_rad), -flat_m * math.sin(yaw_rad), up_m])
     return stand_W_m
 
 
@@ -302,188 +253,47 @@ def _fill(image: U8, corners: Sequence[tuple[float, float]], rgb: tuple[int, int
     cv2.polylines(image, polygon, True, _RIM_RGB, rim_px, cv2.LINE_AA)
 
 
-def _mark_chair(chart: U8, yaw_rad: float) -> U8:
-    """Draw the chair into the middle of a map (S, S, 3) as an arrow, larger than it is; the map is returned."""
-    middle, (ahead, left) = 0.5 * chart.shape[0], (math.cos(yaw_rad), math.sin(yaw_rad))
-    corners = [(11.0, 0.0), (-8.0, 7.0), (-4.0, 0.0), (-8.0, -7.0)]
-    arrow = [(middle + a * ahead - b * left, middle - a * left - b * ahead) for a, b in corners]
-    _fill(chart, arrow, _CHAIR_RGB, rim_px=2)
-    return chart
-
-
-def _mark_goal(chart: U8, goal_m: F64, span_m: float) -> U8:
-    """Draw the destination into a map (S, S, 3), north up with the chair in the middle; one beyond it at the edge.
-
-    Args:
-        chart: Written to, and returned.
-        goal_m: (2,) from the chair, x east and y north.
-        span_m: From edge to edge.
-    """
-    size = chart.shape[0]
-    scale, reach = size / span_m, 0.5 * size - 12.0
-    away = np.array([goal_m[0], -goal_m[1]]) * scale
-    far = float(np.abs(away).max())
-    inside = far <= reach
-    u, v = (0.5 * size + (away if inside else away * (reach / far))).round().astype(int).tolist()
-    if inside:
-        cv2.line(chart, (u, v), (u, v - 16), _RIM_RGB, 2, cv2.LINE_AA)
-        mark = [(u, v - 16), (u + 12, v - 11), (u, v - 6)]
-    else:
-        x, y = away / np.hypot(*away)
-        mark = [(u + 9 * x, v + 9 * y), (u - 6 * x - 7 * y, v - 6 * y + 7 * x), (u - 6 * x + 7 * y, v - 6 * y - 7 * x)]
-    _fill(chart, mark, GOAL_RGB)
-    return chart
-
-
-class _Arm:
-    """Holds the camera's place between two pictures, so that it glides.
-
-    Args:
-        renderer: Of the street.
-    """
-
-    def __init__(self, renderer: Renderer) -> None:
-        self._renderer, self._nobody = renderer, actor_instances(())
-        self._images = new_images(_PX, _PX, rgb=False)
-        self._asked: _Orbit | None = None
-        self._tilt_rad, self._share = 0.0, 1.0  # more than asked; of the distance that was asked
-
-    def held(self, p_WB_m: F64, yaw_rad: float, asked: _Orbit, dt_s: float) -> _Orbit:
-        """The orbit from which the chair is seen, as near as can be to the one that was asked for.
-
-        Args:
-            p_WB_m: (3,) where the chair stands.
-            yaw_rad: The heading that the camera takes for the chair's.
-            asked: By the person; where that has changed, the camera is there at once.
-            dt_s: Since the last picture; `math.inf` to be there at once.
-        """
-        found = self._fitting(p_WB_m, yaw_rad, asked)
-        part = 1.0 - math.exp(-dt_s / _LAG_S) if asked == self._asked else 1.0
-        self._asked = asked
-        self._tilt_rad += part * (found.tilt_rad - asked.tilt_rad - self._tilt_rad)
-        self._share += part * (found.distance_m / asked.distance_m - self._share)
-        tilt_rad = min(asked.tilt_rad + self._tilt_rad, _HIGHEST_RAD)
-        return replace(asked, tilt_rad=tilt_rad, distance_m=asked.distance_m * self._share)
-
-    def _fitting(self, p_WB_m: F64, yaw_rad: float, asked: _Orbit) -> _Orbit:
-        best, most_m = asked, -1.0
-        for more_rad in _TILTS_RAD:
-            orbit = replace(asked, tilt_rad=min(asked.tilt_rad + more_rad, _HIGHEST_RAD))
-            room_m = self._room_m(p_WB_m, yaw_rad, orbit)
-            if room_m > most_m + _MARGIN_M:
-                best, most_m = orbit, room_m
-            if most_m >= min(asked.distance_m, _ROOM_M):
-                break
-        return replace(best, distance_m=min(asked.distance_m, max(most_m, _LEAST_M)))
-
-    def _room_m(self, p_WB_m: F64, yaw_rad: float, orbit: _Orbit) -> float:
-        """From above the chair towards the camera: how far it is to what hides half of the chair, less a margin."""
-        aim_W_m = p_WB_m + np.array([0.0, 0.0, AIM_M])
-        T_CW = look_at(aim_W_m, _stand(p_WB_m, yaw_rad, orbit))
-        self._renderer.render(_LOOK, T_CW, self._nobody, self._images)
-        depth_m = self._images.depth_m
-        met = depth_m[(depth_m > 0.0) & (depth_m < _LOOK.range_m)]
-        if 2 * met.size <= depth_m.size:
-            return _LOOK.range_m
-        return float(np.sort(met)[depth_m.size // 2]) - _MARGIN_M
-
-
-class CameraKind(StrEnum):
-    """What the chair's own camera shows."""
-
-    COLOUR = "colour"
-    CLASSES = "classes"
-    DEPTH = "depth"
-    NOTHING = "nothing"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PageLooks:
-    """What a page wants to see, and how large."""
-
-    orbit: _Orbit = _Orbit()
-    width_px: int = 800
-    height_px: int = 450
-    camera: CameraKind = CameraKind.COLOUR
-    chart: bool = True
+def _held(renderer: Renderer, p_WB_m: F64, yaw_rad: float) -> tuple[float, float]:
+    """Tilt and distance from which the chair is seen, as near as can be to the usual ones."""
+    images, nobody = new_images(_PX, _PX, rgb=False), actor_instances(())
+    best_rad, most_m = _TILTS_RAD[0], -1.0
+    for tilt_rad in _TILTS_RAD:
+        # From above the chair towards the camera: how far it is to what hides half of the chair.
+        T_CW = look_at(p_WB_m + np.array([0.0, 0.0, AIM_M]), _stand(p_WB_m, yaw_rad, tilt_rad, DISTANCE_M))
+        renderer.render(_LOOK, T_CW, nobody, images)
+        met_m = np.sort(np.where(images.depth_m > 0.0, images.depth_m, _LOOK.range_m), axis=None)
+        room_m = float(met_m[len(met_m) // 2]) - _MARGIN_M
+        if room_m > most_m + _MARGIN_M:
+            best_rad, most_m = tilt_rad, room_m
+        if most_m >= _ROOM_M:
+            break
+    return best_rad, min(DISTANCE_M, max(most_m, _LEAST_M))
 
 
 class StreetPictures:
-    """Draws moments of one street; another street needs another object.
+    """Draws moments of one street; another street needs another object."""
 
-    Args:
-        street: Its mesh, ground and signal heads.
-        front: The camera of the chairs; None where it is not known, and nothing is drawn as they see it.
-    """
+    def __init__(self, street: Street) -> None:
+        self._renderer, self._cast = RasterRenderer(GeometryStore(street.mesh)), Cast(street.signal_heads)
+        self._grid = street.grid
 
-    def __init__(self, street: Street, front: CameraConfig | None) -> None:
-        store = GeometryStore(street.mesh)
-        self._renderer, self._cast = RasterRenderer(store), Cast(street.signal_heads)
-        self._map, self._grid = MapView(store, _MAP_PX, _MAP_SPAN_M), street.grid
-        self._arm = _Arm(self._renderer)
-        self._front, self._yaw_rad, self._number = front, 0.0, 0
-
-    def draw(self, moment: Moment, looks: PageLooks, dt_s: float) -> bytes:
-        """All pictures of a moment in one message: its number, then for each part a letter, its length, its JPEG.
-
-        Args:
-            moment: Of now.
-            looks: What is wanted.
-            dt_s: Since the last pictures, for the camera that comes after the chair.
-        """
-        self._yaw_rad = moment.yaw_rad if moment.jumped else _eased(self._yaw_rad, moment.yaw_rad, dt_s)
-        parts = [(b"S", self._scene(moment, looks, math.inf if moment.jumped else dt_s).picture)]
-        if looks.camera is not CameraKind.NOTHING and self._front is not None:
-            parts.append((b"C", self._own(moment, looks.camera, self._front)))
-        if looks.chart:
-            parts.append((b"M", self._chart(moment)))
-        self._number += 1
-        return _packed(self._number, parts)
-
-    def behind(self, moment: Moment, looks: PageLooks) -> SeenStreet:
+    def behind(self, moment: Moment, width_px: int, height_px: int) -> SeenStreet:
         """The street from behind the chair."""
-        self._yaw_rad = moment.yaw_rad
-        return self._scene(moment, looks, math.inf)
-
-    def _scene(self, moment: Moment, looks: PageLooks, dt_s: float) -> SeenStreet:
         here_W_m = moment.chair.p_WB_m
-        orbit = self._arm.held(here_W_m, self._yaw_rad, looks.orbit, dt_s)
-        size_px = (looks.width_px, looks.height_px)
-        lens = _lens(size_px, focal_px(min(size_px), _FIELD_RAD), 0.1)
-        scene = self._look(lens, _eye(here_W_m, self._yaw_rad, orbit), *self._rows(moment))
+        lens = Pinhole(
+            width_px=width_px,
+            height_px=height_px,
+            focal_px=focal_px(min(width_px, height_px), _FIELD_RAD),
+            near_m=0.1,
+            range_m=SIGHT_M,
+        )
+        eye = _eye(here_W_m, moment.yaw_rad, *_held(self._renderer, here_W_m, moment.yaw_rad))
+        scene = self._look(lens, eye, *self._rows(moment))
         if moment.route is not None:
             _mark_way(scene, _ground_points(moment.route, moment.done_m, self._grid))
         _mark_track(scene, moment, self._grid)
         _mark_near(scene, moment)
         return scene
-
-    def _own(self, moment: Moment, kind: CameraKind, front: CameraConfig) -> U8:
-        """The front camera: colours as a person would see them, classes and depth as the policy gets them."""
-        colour = kind is CameraKind.COLOUR
-        frame = moment.frame
-        if colour or frame is None:
-            T_CW = camera_matrix(pose_matrix(moment.chair.p_WB_m, moment.chair.q_WB), mount(front))
-            rows, shown = self._rows(moment)
-            shown[len(moment.actors) + moment.column] = False  # the chair itself, which its camera does not see
-            lens = _lens(_CAMERA_PX, focal_px(_CAMERA_PX[0], deg2rad(front.hfov_deg)), front.near_m)
-            scene = self._look(lens if colour else pinhole(front), T_CW, rows, shown)
-            if colour:
-                return scene.picture
-            class_id, depth_m = scene.images.class_id, scene.images.depth_m
-        else:
-            class_id, depth_m = frame.class_id, frame.depth_m
-        is_class = kind is CameraKind.CLASSES
-        picture = class_colours(class_id) if is_class else depth_colours(depth_m, front.range_m)
-        scale = max(1, _CAMERA_PX[0] // picture.shape[1])
-        large = np.ascontiguousarray(picture.repeat(scale, axis=0).repeat(scale, axis=1))
-        return with_legend(large, class_id) if is_class else large
-
-    def _chart(self, moment: Moment) -> U8:
-        picture = self._map.draw(moment.chair.p_WB_m, moment.actors, moment.chairs, moment.route)
-        _mark_chair(picture, moment.yaw_rad)
-        if moment.route is None:
-            return picture
-        return _mark_goal(picture, moment.route.points_W_m[-1] - moment.chair.p_WB_m[:2], _MAP_SPAN_M)
 
     def _rows(self, moment: Moment) -> tuple[Instances, Bool]:
         """What moves, and which of it a camera sees that sits on no chair."""
@@ -518,26 +328,6 @@ def played_moment(step: PlayedStep) -> Moment:
     return Moment(actors=step.actors, signals=step.signals, chairs=step.chairs, seat=step.seat, motion=step.motion)
 
 
-def _packed(number: int, parts: Iterable[tuple[bytes, U8]]) -> bytes:
-    r"""One message: a number, then for each picture (H, W, 3) a letter, the length of its JPEG, and that.
-
-    >>> _packed(7, [])
-    b'\x07\x00\x00\x00'
-    """
-    message = bytearray(_HEAD.pack(number))
-    for letter, picture in parts:
-        _, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-        message += _PART.pack(letter, len(data)) + data.tobytes()
-    return bytes(message)
-
-
-def _lens(size_px: tuple[int, int], focal: float, near_m: float) -> Pinhole:
-    """A camera for people: it sees as far as they do."""
-    width, height = size_px
-    return Pinhole(width_px=width, height_px=height, focal_px=focal, near_m=near_m, range_m=SIGHT_M)
-
-
-_LOOKS = PageLooks(width_px=960, height_px=540)
 _ON_WAY_RAD: Final = math.radians(30.0)  # a way that goes on within this to either side lies ahead
 
 
@@ -545,7 +335,7 @@ class StillPictures:
     """Draws the first seat's chair in a world, with its way; another world needs another object."""
 
     def __init__(self, world: World) -> None:
-        self._world, self._pictures = world, StreetPictures(world.street, None)
+        self._world, self._pictures = world, StreetPictures(world.street)
 
     @property
     def on_way(self) -> bool:
@@ -557,4 +347,4 @@ class StillPictures:
         """The picture of now, (540, 960, 3) RGB."""
         world, seat = self._world, self._world.seats[0]
         moment = moment_of(world, world.snapshot.clients[0], seat.route, seat.user.route_progress_m)
-        return self._pictures.behind(moment, _LOOKS).picture
+        return self._pictures.behind(moment, 960, 540).picture

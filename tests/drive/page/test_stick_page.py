@@ -9,6 +9,7 @@ from tests.drive.page.stage import IN_CHROMIUM, REST, Stage, touches
 pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(900)]
 AHEAD = {(0.0, 1.0)}
 STILL = {REST}
+HELD_MS = 400  # a shorter press of "overrule" goes on
 
 
 def leave(stage: Stage) -> None:
@@ -18,11 +19,12 @@ def leave(stage: Stage) -> None:
 
 
 def crash(stage: Stage) -> None:
-    stage.state(crash="You hit a car on your left at 1.0 m/s.")
+    stage.state(speed_mps=1.04)
+    stage.state(crash="drove into a car")
     assert (
         stage.text("#live")
         == stage.text("#big")
-        == "You hit a car on your left at 1.0 m/s. You start again a little before that place."
+        == "You hit a car at 1.0 m/s. You start again a little before that place."
     )
     stage.state(tick=2)
 
@@ -144,6 +146,7 @@ def test_overruling_ends_with_its_key_whatever_else_is_pressed(stage: Stage) -> 
         keyboard.down(key)
         assert stage.overrules()
         keyboard.down("Control")
+        stage.page.wait_for_timeout(HELD_MS)
         keyboard.up(key)
         assert not stage.overrules()
         keyboard.up("Control")
@@ -152,6 +155,7 @@ def test_overruling_ends_with_its_key_whatever_else_is_pressed(stage: Stage) -> 
     stage.page.hover("#overrule")
     stage.page.mouse.down()
     assert stage.overrules()
+    stage.page.wait_for_timeout(HELD_MS)
     stage.page.mouse.up()
     assert not stage.overrules()
 
@@ -189,12 +193,31 @@ def test_a_device_that_rests_at_an_end_blocks_nothing(stage: Stage) -> None:
     assert stage.sticks() == AHEAD, "it was in its middle"
 
 
-def test_the_shortest_press_of_overrule_is_said(stage: Stage) -> None:
+def test_the_shortest_press_overrules_for_seconds_and_another_one_ends_that(stage: Stage) -> None:
     stage.heard("stick")
     press = "for (const kind of ['keydown', 'keyup']) window.dispatchEvent(new KeyboardEvent(kind, { code: 'KeyO' }))"
+    for on in (True, False):
+        stage.page.evaluate(press)
+        assert stage.overrules() is on
+        assert stage.text("#overrule-told").startswith("Overrules for " if on else "Overrule")
     stage.page.evaluate(press)
-    said = [stick["overrule"] for stick in stage.heard("stick")]
-    assert said.count(True) == 1 and not said[-1]
+    stage.page.wait_for_timeout(2 * HELD_MS)
+    assert stage.overrules(), "it goes on"
+
+
+def test_a_gamepads_buttons_help_overrule_and_pause(stage: Stage) -> None:
+    def push(*down: int) -> None:
+        buttons = [{"pressed": number in down} for number in range(10)]
+        stage.page.evaluate("pads => { window.pads = pads; }", [{"id": "a", "axes": [0, 0], "buttons": buttons}])
+
+    push()
+    stage.heard("stick")
+    push(0)
+    stage.until(lambda: {"say": "help"} in stage.said)
+    push(1)
+    stage.until(stage.overrules)
+    push(9)
+    stage.until(lambda: {"say": "pause", "on": True} in stage.said)
 
 
 def test_the_lamp_counts_down_while_help_is_on(stage: Stage) -> None:

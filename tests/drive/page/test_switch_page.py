@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.drive.page.stage import IN_CHROMIUM, REST, Stage, axe_finds_nothing
+from tests.drive.page.stage import ABOUT, IN_CHROMIUM, REST, Stage, axe_finds_nothing
 from tests.drive.page.test_stick_page import AHEAD, STILL, crash, leave
 from wcsim.drive.recording.study_plan import StepKind
 
@@ -173,3 +173,15 @@ def test_axe_finds_nothing_whatever_one_steers_by(stage: Stage) -> None:
     for by in ("stick", "1"):
         stage.page.select_option("#steer-by", by)
         axe_finds_nothing(stage.page)
+
+
+def test_choices_that_would_end_badly_are_marked(stage: Stage) -> None:
+    stage.hear("about", **{**ABOUT, "points": [(0.0, 1.0), (0.0, 0.0), (0.0, -0.5)]})
+    stage.page.select_option("#steer-by", "1")
+    stage.state(unsafe=[0])
+    marked = stage.page.eval_on_selector_all(
+        "#board [data-unsafe=true]", "nodes => nodes.map(node => node.textContent)"
+    )
+    assert "Ahead: unsafe" in marked and "Back: unsafe" not in marked
+    stage.state(unsafe=[])
+    assert stage.page.locator("#board [data-unsafe=true]").count() == 0

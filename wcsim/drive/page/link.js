@@ -58,7 +58,7 @@ export class Link {
       const letter = String.fromCharCode(view.getUint8(at));
       const size = view.getUint32(at + 1, true);
       at += PART_BYTES;
-      parts[letter] = new Blob([new Uint8Array(data, at, size)], { type: "image/jpeg" });
+      parts[letter] = data.slice(at, at + size);
       at += size;
     }
     this.hears.pictures(view.getUint32(0, true), parts);

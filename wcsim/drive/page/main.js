@@ -5,19 +5,27 @@ import { Link } from "./link.js";
 import { Hint, Panel, tellKeeping } from "./panel.js";
 import { Scan } from "./scan.js";
 import { Scene } from "./scene.js";
-import { big, by, keep, kept, line, note, waitFor, wireDialogs, wireDisplay, wireHold } from "./shared.js";
+import { big, by, keep, kept, line, note, put, sound, waitFor, wireDialogs, wireDisplay, wireHold } from "./shared.js";
 import { Stick } from "./stick.js";
 import { Study } from "./study.js";
 
 const SEND_MS = 33;
 const SAID_MS = 5000;
+const TAP_MS = 350, TAPPED_MS = 20_000; // a press that is shorter goes on for so long
+const PAD = { 0: () => askForHelp(), 1: () => tapOverrule(), 9: () => by("pause").click() }; // A, B, start
 const LINES = { open: ["connected", "good"], lost: ["connection lost: the chair stops", "bad"] };
 
 let drives = false;
 let overrules = false;
+let pressed_ms = 0; // when the press began that overrules
+let tapTimer = 0;
+let ended = false; // by this press, what a brief one began
 let busy = "";
 let lastSaid = "";
 let crash = "";
+let warned = false;
+let hit = null; // of the crash that is shown
+let speed_mps = 0; // of the state before
 let standing = ""; // why the chair does not go
 let sayTimer = 0;
 
@@ -35,7 +43,34 @@ function overrule(on) {
   overrules = on;
   by("overrule").setAttribute("aria-pressed", String(on));
   scan.showOverrule(on);
+  clearInterval(tapTimer);
+  tapTimer = 0;
+  put(by("overrule-told"), "Overrule");
+  if (isNew && on) pressed_ms = performance.now();
   if (isNew) send(); // at once: the shortest press is over before the next stick is said
+}
+
+// What is pressed briefly overrules for some seconds, and pressed again ends that; what is held, while it is.
+function pressOverrule() {
+  ended = tapTimer !== 0;
+  overrule(!ended);
+}
+
+function releaseOverrule() {
+  if (overrules && !tapTimer && !ended && performance.now() - pressed_ms < TAP_MS) tapOverrule(true);
+  else if (!tapTimer) overrule(false);
+}
+
+function tapOverrule(begins = !overrules) {
+  overrule(begins);
+  if (!begins) return;
+  const until_ms = performance.now() + TAPPED_MS;
+  const tell = () => {
+    const left_s = Math.ceil((until_ms - performance.now()) / 1000);
+    if (left_s <= 0) { overrule(false); say("Overruling is over."); } else put(by("overrule-told"), `Overrules for ${left_s} s`);
+  };
+  tapTimer = setInterval(tell, 250);
+  tell();
 }
 
 const stick = new Stick((what, name) => {
@@ -53,24 +88,33 @@ const link = new Link({
     else { setBusy(""); setRole({ drives: false, taken: false, told: "" }); big("Connection lost. The chair stops. Trying again …"); }
   },
   pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
-  about(about) { setBusy(""); panel.tellAbout(about); grid.setPoints(about.points); hint.begin(); big(""); },
+  street(message) { scene.setStreet(message); },
+  way(message) { scene.setWay(message); },
+  about(about) { setBusy(""); scene.setUnsafe([], about.points); panel.tellAbout(about); grid.setPoints(about.points); hint.begin(); big(""); },
   busy(message) { if (!busy || message.waits === false) say(message.told); setBusy(message.told, message.waits !== false); rest(); },
   study(message) { study.tell(message.view); },
   notice(message) { note(message.kind, message.told); study.notice(message.told); if (message.kind === "bad" && busy) { setBusy(message.told, false); } },
   role: setRole,
   keeping(message) { const told = tellKeeping(message); if (told) say(told); },
   state(state) {
-    panel.tellState(state);
+    const near = state.warning || state.intervening ? scene.inTheWay(state.stick) : "";
+    panel.tellState({ ...state, near });
     grid.show(state.unsafe);
+    scene.setUnsafe(state.unsafe);
     grid.move(state.stick, state.commanded);
-    if (state.crash && state.crash !== crash) say(crashed(state));
+    scan.mark(state.unsafe, grid.points);
+    if (state.crash && state.crash !== crash) { say(crashed(state)); sound(90, 0.4); }
+    if (state.warning && !warned) sound(880, 0.18);
+    warned = state.warning;
     if (crash && !state.crash) hint.begin();
+    const told = state.crash ? crashed(state) : "";
     crash = state.crash;
+    speed_mps = state.speed_mps;
     if (state.crash || (state.let_go && scan.driving)) rest();
     tellStanding(state);
     hint.tell(state, drives && !busy && !standing, Number(by("steer-by").value) || 0);
     by("big").dataset.crash = String(Boolean(state.crash));
-    big(busy || (state.crash ? crashed(state) : standing || (state.alone ? "The simulated user drives until the handover" : "")));
+    big(busy || (told || standing || (state.alone ? "The simulated user drives until the handover" : "")));
   },
 });
 
@@ -79,7 +123,7 @@ const grid = new Grid(by("stick"), stick);
 const panel = new Panel(link, say);
 const hint = new Hint(say);
 const scan = new Scan(by("board"), stick, {
-  help: askForHelp, overrule: () => overrule(!overrules), pause: () => by("pause").click(), takeOver: () => by("take-over").click(), say,
+  help: askForHelp, overrule: () => tapOverrule(), pause: () => by("pause").click(), takeOver: () => by("take-over").click(), say,
 });
 
 const study = new Study(link, { say, stop: stopNow, switches: () => Number(by("steer-by").value) || 0, seconds: () => scan.seconds, meet });
@@ -106,7 +150,12 @@ function tellStanding(state) {
   else if (before === "Paused") say("Resumed.");
 }
 
-const crashed = (state) => `${state.crash} You start again a little before that place.`;
+// What was hit, on which side and how fast: at the touch, so the speed is that of the tick before.
+function crashed(state) {
+  if (!crash) hit = { side: scene.touched(state.crash), mps: Math.abs(speed_mps) };
+  const words = state.crash.replace(/^drove into /, "hit ").replace("was hit", "were hit").replace("was shaken", "were shaken");
+  return `You ${words}${hit.side} at ${hit.mps.toFixed(1)} m/s. You start again a little before that place.`;
+}
 
 function setBusy(told, counts) {
   busy = told;
@@ -132,6 +181,7 @@ function stopNow() {
 
 function send() {
   const [x, y] = stick.now();
+  if (drives) for (const number of stick.pressed()) PAD[number]?.();
   if (drives) link.say("stick", { x, y, overrule: overrules, away: stick.away });
 }
 
@@ -141,14 +191,16 @@ by("stop").addEventListener("click", stopNow);
 by("stop").addEventListener("pointerdown", stopNow);
 by("help").addEventListener("click", askForHelp);
 by("take-over").addEventListener("click", () => link.say("takeover"));
-wireHold(by("overrule"), (on, event) => { if (on) by("overrule").setPointerCapture(event.pointerId); overrule(on); });
+wireHold(by("overrule"), (on, event) => {
+  if (on) { by("overrule").setPointerCapture(event.pointerId); pressOverrule(); } else releaseOverrule();
+});
 by("overrule").addEventListener("blur", () => overrule(false));
 // A screen reader presses without a pointer or a key, and cannot hold.
-by("overrule").addEventListener("click", (event) => { if (event.detail === 0) overrule(!overrules); });
+by("overrule").addEventListener("click", (event) => { if (event.detail === 0) tapOverrule(); });
 
 const LETTERS = {
   KeyH: (down) => { if (down) askForHelp(); },
-  KeyO: (down) => overrule(down),
+  KeyO: (down) => { if (down) pressOverrule(); },
   KeyE: (down) => { if (down) by("assist").click(); },
   KeyP: (down) => { if (down) by("pause").click(); },
 };
@@ -164,7 +216,7 @@ const isOverrule = (event) => event.target === by("overrule") && HOLDS.includes(
 function release(event) {
   stick.key(event, false);
   scan.release(event.code);
-  if (event.code === "KeyO" || isOverrule(event)) overrule(false);
+  if (event.code === "KeyO" || isOverrule(event)) releaseOverrule();
 }
 
 // While that key is down, a Mac does not tell of others that are released.
@@ -186,7 +238,7 @@ function onKey(event, down) {
   if (event.code === "Escape") { if (down) stopNow(); return; }
   if (event.code === "Space" && down && event.target !== by("overrule")) stopNow();
   if (inField) return;
-  if (isOverrule(event)) { if (down && !event.repeat) overrule(true); event.preventDefault(); return; }
+  if (isOverrule(event)) { if (down && !event.repeat) pressOverrule(); event.preventDefault(); return; }
   if (event.code === "Space" && !onButton) { event.preventDefault(); return; }
   const isLetter = event.code.startsWith("Key");
   if (isLetter && !by("letters").checked) return;

@@ -20,7 +20,7 @@ const STANDS_MPS = 0.05;
 const CALM_MS = 1200; // so long without an intervention ends it
 const TOLD_MS = 6000;
 
-// What the chair does differently from the stick, in words. The reason is not known here.
+// What the chair does differently from the stick, in words.
 export function deed(stick, commanded) {
   const [asked, given] = [Math.hypot(...stick), Math.hypot(...commanded)];
   if (given < 0.15) return "braked";
@@ -37,6 +37,7 @@ export function deed(stick, commanded) {
 class Deeds {
   constructor() {
     this.now = ""; // of the intervention that goes on
+    this.near = ""; // what was nearest in the way
     this.far = 0;
     this.last_ms = -1e9; // when a tick of it was
     this.done = "";
@@ -48,7 +49,7 @@ class Deeds {
     let begins = false, ended = "";
     if (state.crash || state.overruled) { this.now = this.done = ""; }
     if (state.intervening) {
-      if (!this.now) { begins = true; this.far = 0; }
+      if (!this.now) { begins = true; this.far = 0; this.near = ""; }
       if (far > this.far) { this.far = far; this.now = deed(state.stick, state.commanded); }
       if (this.now === "braked" && Math.abs(state.speed_mps) < STANDS_MPS) this.now = "stopped";
       this.last_ms = now_ms;
@@ -57,10 +58,12 @@ class Deeds {
       this.now = "";
       this.until_ms = now_ms + TOLD_MS;
     }
-    const near = !state.assisted ? "assistance is off" : state.overruled ? "overruled" : far < FOLLOWS ? "none" : "slight correction";
-    const lamp = state.intervening ? "corrects your stick" : near;
+    const idle = !state.assisted ? "assistance is off" : state.overruled ? "overruled" : far < FOLLOWS ? "none" : "slight correction";
+    const lamp = state.intervening ? "corrects your stick" : idle;
     const done = this.now || (now_ms < this.until_ms ? this.done : "");
-    return { begins, ended, lamp, line: done ? `Assistance: ${done}${this.now ? " …" : "."}` : "" };
+    if (this.now && state.near) this.near = state.near;
+    const near_told = this.near ? ` Nearest in the way: ${this.near}.` : "";
+    return { begins, ended, lamp, line: done ? `Assistance: ${done}${this.now ? " …" : "."}${near_told}` : "" };
   }
 }
 
@@ -177,7 +180,7 @@ export class Panel {
   }
 
   lamps(state, before) {
-    if (lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "none") && state.warning) this.say("Warning: danger ahead.");  // the lamp also in play.js
+    if (lamp("lamp-warning", state.warning, state.warning ? state.near || "danger" : "none") && state.warning && !before?.warning) this.say(`Warning: ${state.near || "danger"}.`);
     const told = this.deeds.tell(state, performance.now());
     if (lamp("lamp-intervening", state.intervening, told.lamp) && state.intervening && !before?.intervening && told.begins) this.say("The assistance intervenes.");
     if (told.ended) this.say(`The assistance ${told.ended}.`);

@@ -40,6 +40,8 @@ const link = new Link({
     else { waitFor(""); big("Connection lost. Trying again …"); }
   },
   pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
+  street(message) { scene.setStreet(message); },
+  way(message) { scene.setWay(message); },
   about: tellAbout,
   busy(message) { waitFor(message.told, message.waits !== false); say(message.told); },
   notice(message) { note(message.kind, message.told, message.kind === "bad"); },
@@ -89,6 +91,7 @@ function tellAbout(told) {
   by("place").textContent = about.title;
   document.title = `${about.title} – wcsim film`;
   grid.setPoints(about.points);
+  scene.setUnsafe([], about.points);
   by("legend-unsafe").hidden = !about.tells_unsafe;
   by("camera-figure").hidden = !about.camera;
   by("live").hidden = !about.live;
@@ -138,6 +141,7 @@ function tellChair(now) {
   const own = row?.chair ?? ABSENT; // what is false, or not known, is left out of it
   numbers.tell(...(row ? [row.kpis, own] : []));
   grid.show(own.unsafe);
+  scene.setUnsafe(own.unsafe);
   grid.move(own.stick, own.commanded);
   const asked = own.stick ? `user: ${words(own.stick)}` : "user: not known";
   put(by("stick-text"), own.commanded ? `${asked} · chair: ${words(own.commanded)}` : asked);

@@ -161,6 +161,19 @@ export class Scan {
     });
   }
 
+  // Choices that would end badly now: the nearest position is unsafe.
+  mark(unsafe, points) {
+    const bad = new Set(unsafe);
+    this.choices?.forEach((choice, index) => {
+      if (!choice.stick || !this.buttons[index]) return;
+      const gap = ([x, y]) => Math.hypot(x - choice.stick[0], y - choice.stick[1]);
+      const nearest = points.reduce((best, point, number) => (best < 0 || gap(point) < gap(points[best]) ? number : best), -1);
+      const told = bad.has(nearest) ? `${choice.name}: unsafe` : choice.name;
+      if (this.buttons[index].textContent !== told) this.buttons[index].textContent = told;
+      this.buttons[index].dataset.unsafe = String(bad.has(nearest));
+    });
+  }
+
   showOverrule(on) {
     this.overrules = on;
     const at = this.choices?.findIndex((each) => each.act === "overrule") ?? -1;

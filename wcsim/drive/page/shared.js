@@ -100,10 +100,24 @@ export function wireHold(node, does) {
 
 export const isPushed = (event) => Boolean(event.buttons & 1);
 
+// A tone, where the person asked for sounds.
+let audio = null;
+export function sound(hertz, seconds) {
+  if (document.documentElement.dataset.sounds !== "true") return;
+  audio = audio ?? new AudioContext();
+  const tone = audio.createOscillator(), loud = audio.createGain();
+  tone.frequency.value = hertz;
+  loud.gain.setValueAtTime(0.25, audio.currentTime);
+  loud.gain.exponentialRampToValueAtTime(0.001, audio.currentTime + seconds);
+  tone.connect(loud).connect(audio.destination);
+  tone.start();
+  tone.stop(audio.currentTime + seconds);
+}
+
 // Contrast, larger text, single letters: kept in the browser; `after` is called at each change.
 export function wireDisplay(after = () => {}) {
   const wantsContrast = matchMedia("(prefers-contrast: more)").matches;
-  for (const [name, first, told] of [["contrast", wantsContrast, "High contrast"], ["larger", false, "Larger text"], ["letters", true, "Letter keys are shortcuts"]]) {
+  for (const [name, first, told] of [["contrast", wantsContrast, "High contrast"], ["larger", false, "Larger text"], ["letters", true, "Letter keys are shortcuts"], ["sounds", false, "Sounds for warning and crash"]]) {
     const label = element("label", "", { className: "tick" });
     const box = element("input", "", { id: name, type: "checkbox" });
     const row = element("p");

@@ -42,6 +42,7 @@ export class Stick {
     this.stopped = false; // until everything has been let go of
     this.padsSeen = []; // places and names of all gamepads
     this.padsRested = new Set(); // of those that have been at rest since they came
+    this.buttons = new Set(); // of gamepads, that are down
     this.away = document.hidden;
     addEventListener("blur", () => this.leave());
     addEventListener("focus", () => { this.away = document.hidden; });
@@ -90,6 +91,14 @@ export class Stick {
     const share = this.half ? 0.5 : 1;
     const [a, b] = inGate([Math.sign(x), Math.sign(y)]);
     return [a * share, b * share];
+  }
+
+  // The buttons of gamepads that have gone down since the last call, by their numbers in the standard layout.
+  pressed() {
+    const down = new Set(pads().flatMap(([name, pad]) => pad.buttons.flatMap((button, number) => (button.pressed ? [`${name} ${number}`] : []))));
+    const fresh = [...down].filter((each) => !this.buttons.has(each)).map((each) => Number(each.split(" ").at(-1)));
+    this.buttons = down;
+    return this.away ? [] : fresh;
   }
 
   // Of several gamepads the one that is pushed farthest. One counts once it has been at rest: pedals rest at their ends.

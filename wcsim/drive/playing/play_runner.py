@@ -21,7 +21,6 @@ from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
-from wcsim.view.street_pictures import StreetPictures
 
 _IDLE_S: Final = 0.2
 _TAKE_S: Final = 0.02  # of a turn, for what the source says
@@ -249,8 +248,8 @@ class _PlayRunner(PageRunner):
 
     def _show(self, film: TickFilm) -> None:
         moment = film.moment(self._player.at, self._seat, self._player.jumped)
-        if self._pictures is not None and moment is not None:
-            self._draw(moment, self._pictures, self._player.pace)
+        if self._feed is not None and moment is not None:
+            self._draw(moment, self._feed)
             self._player.jumped = False
 
     # --- what the page wants ---
@@ -303,7 +302,8 @@ class _PlayRunner(PageRunner):
         except WcsimError as error:
             self._line(FilmLine(kind="bad", told=str(error)))
             return
-        self._pictures, self._film = StreetPictures(street, front), TickFilm(about)
+        self._open_feed(street, front)
+        self._film = TickFilm(about)
         self._player = _Player(live=about.live)
         self._say("about", **_film_about(about, self._start.failed, self._opened.policy, self._opened.block))
         self._say("marks", marks=self._film.there)  # none yet, and no more of the film before

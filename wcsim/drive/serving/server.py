@@ -28,7 +28,7 @@ from wcsim.core.processes import start_piped_process
 from wcsim.core.reading import escape
 from wcsim.drive import messages as m
 from wcsim.drive.playing.play_runner import PlayStart
-from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder
+from wcsim.drive.runner import DONE, FILE, JSON, LINE, PICTURES, DriveOrder
 from wcsim.drive.serving.access_control import LOOPBACK, AccessControl, content_policy, new_token
 from wcsim.drive.stick_watch import rests
 from wcsim.errors import ConfigError, ProtocolError, WorkersError
@@ -159,7 +159,7 @@ class _Audience:
 
     def tell(self, line: bytes) -> None:
         """A line for all."""
-        for name in ("about", "state", "busy", "keeping", "study", "marks"):
+        for name in ("about", "state", "busy", "keeping", "study", "marks", "street", "way"):
             if line.startswith(b'{"say":"%s"' % name.encode()):
                 self._kept[name] = line
                 if name == "about":
@@ -313,6 +313,7 @@ class DriveServer:
         self._access = AccessControl(host=host, token="" if host in LOOPBACK else new_token())
         self._audience = _Audience()
         self._words = _Words()
+        self._files: dict[str, bytes] = {}  # of the street around the chair, by name
 
     async def run(self) -> None:
         """Serve until cancelled.
@@ -323,6 +324,7 @@ class DriveServer:
         """
         app = web.Application(middlewares=[self._guarded])
         app.router.add_get("/socket", self._meet, allow_head=False)
+        app.router.add_get("/street/{name}", self._street)
         app.router.add_get("/{name:.*}", self._page)
         app.on_shutdown.append(self._audience.close)
         # What a request breaks is a line, as whoever finds the address could fill a terminal.
@@ -386,6 +388,15 @@ class DriveServer:
             raise web.HTTPNotFound(text="there is no such page\n")
         headers = {**_HEADERS, "Content-Security-Policy": content_policy(request.headers["Host"])}
         return web.Response(body=file.read_bytes(), content_type=_KINDS[file.suffix], charset="utf-8", headers=headers)
+
+    async def _street(self, request: web.Request) -> web.Response:
+        """Hand out a part of the street."""
+        file = self._files.get(request.match_info["name"])
+        if file is None:
+            raise web.HTTPNotFound(text="this part of the street is not near any more\n")
+        answer = web.Response(body=file, content_type="application/octet-stream", headers=_HEADERS)
+        answer.enable_compression()
+        return answer
 
     # --- what a page says ---
 
@@ -454,6 +465,9 @@ class DriveServer:
             self._audience.tell(body)
         elif kind == LINE:
             self._say(body.decode())
+        elif kind == FILE:
+            name, _, file = body.partition(b"\0")
+            self._files[name.decode()] = file
         elif kind == DONE:
             self._words.done()
 

@@ -34,13 +34,13 @@ from wcsim.errors import ConfigError, WcsimError
 from wcsim.types import U8, ActorKind
 from wcsim.view.filming import around_picture, near, seen_picture, sticks
 from wcsim.view.map import MapView
-from wcsim.view.street_pictures import PageLooks, StreetPictures, played_moment
+from wcsim.view.street_pictures import StreetPictures, played_moment
 
 _SOMEBODY: Final = frozenset(kind.value for kind in ActorKind)
 _FAULTS: Final = {"own": "own fault", "other": "other's fault"}
 _SHORT_S: Final = 0.3  # a last leg of the path below this says nothing of the speed
 _PICTURES: Final = 3
-_LOOKS: Final = PageLooks(width_px=480, height_px=270)
+_SIZE_PX: Final = (480, 270)
 _LAST_S: Final = 2.0
 _MAP_PX, _MAP_SPAN_M = 360, 24.0
 _TRAIL_S: Final = 10.0
@@ -240,13 +240,13 @@ def _illustrate(wanted: tuple[Piece, Iterable[EpisodeRecord]]) -> dict[int, Illu
         tick_s = config.world.tick_s
 
         def draw(world: World, steps: Sequence[PlayedStep]) -> Illustration:
-            pictures, moments = StreetPictures(world.street, None), []
+            pictures, moments = StreetPictures(world.street), []
             above = around_picture(MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps[-1], steps)
             last = len(steps) - 1
             places = np.rint(np.linspace(max(0, last - _LAST_S / tick_s), last, _PICTURES)).astype(int)
             for place in dict.fromkeys(places.tolist()):
                 step, before_s = steps[place], round((last - place) * tick_s, 3)
-                behind = _encoded(".jpg", pictures.behind(played_moment(step), _LOOKS).picture)
+                behind = _encoded(".jpg", pictures.behind(played_moment(step), *_SIZE_PX).picture)
                 seen = b"" if STATE_SENSE in step.seen else _encoded(".png", seen_picture(step.seen, config))
                 moments.append(_SeenMoment(before_s, step.speed_mps, *sticks(step), behind, seen))
             return Illustration(seen=tuple(moments), street_png=_encoded(".png", above), near=near(steps[-1])[:4])

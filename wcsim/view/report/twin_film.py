@@ -16,9 +16,9 @@ from wcsim.types import U8
 from wcsim.view.filming import with_sticks
 from wcsim.view.pictures import captioned, open_video, side_by_side
 from wcsim.view.report.failures import fate
-from wcsim.view.street_pictures import PageLooks, StreetPictures, played_moment
+from wcsim.view.street_pictures import StreetPictures, played_moment
 
-_LOOKS: Final = PageLooks(width_px=560, height_px=420)
+_SIZE_PX: Final = (560, 420)
 _BEFORE_S, _AFTER_S, _HELD_S = 8.0, 3.0, 2.0
 _ALL_STEPS: Final = 1_000_000  # the most that an episode can have
 
@@ -88,11 +88,11 @@ def film_twins(
 
 def _pictures(end: int, tick_s: float, world: World, steps: Sequence[PlayedStep]) -> list[U8]:
     """The pictures of one drive around a step, 0 for its last one, and the picture of its last one."""
-    last, street, found = end or steps[-1].step, StreetPictures(world.street, None), []
+    last, street, found = end or steps[-1].step, StreetPictures(world.street), []
     first, until = last - round(_BEFORE_S / tick_s), last + round(_AFTER_S / tick_s)
     for step in steps:
         if first < step.step <= until or step is steps[-1]:
-            picture = street.behind(played_moment(step), _LOOKS).picture
+            picture = street.behind(played_moment(step), *_SIZE_PX).picture
             with_sticks(picture, step.requested, step.given, warning=False)
             found.append(picture)
     return found
