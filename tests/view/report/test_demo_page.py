@@ -36,6 +36,6 @@ def test_the_sentence_stands_first_the_table_is_narrow_and_the_rule_is_that_of_i
     other = write_demo_page(tmp_path, result, **SHOWN).read_text()
     text = write_demo_page(tmp_path, replace(result, set="demo"), **SHOWN).read_text()
     assert text.index(verdict(result)) < text.index("<video") < text.index("<table")
-    assert text.count('scope="col"') == 5, "policy and four figures"
+    assert text.count('scope="col"') == 6, "policy and five figures"
     assert "How these drives were chosen" in text and "How these drives were chosen" not in other
     assert "families car-door are" in text and "Drive 0.1" in text
