@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tests.support.samples import ACTIONS
-from wcsim.agents.danger.policy import RECENT_TICKS, _choose, _mask_safe_actions, _next_recent
+from wcsim.agents.danger.policy import RECENT_TICKS, _choose, _mask_safe_actions, _next_recent, takes_away_at
 from wcsim.config.run_file import DangerRuleSettings, StickValue
 
 RULE = DangerRuleSettings()
@@ -75,7 +75,7 @@ def test_where_sticks_have_a_value_the_highest_is_taken():
     assert _choose(danger, stick, ACTIONS, eager) != wish == _choose(danger, stick, ACTIONS, valued)
 
 
-PATIENT = DangerRuleSettings(at_once=0.6)
+PATIENT = DangerRuleSettings(threshold=0.02, at_once=0.6)
 
 
 def taken_of(dangers: list[float], rule: DangerRuleSettings, others: float = 0.0) -> list[bool]:
@@ -85,7 +85,8 @@ def taken_of(dangers: list[float], rule: DangerRuleSettings, others: float = 0.0
         danger = np.full(81, others)
         danger[wish] = level
         found.append(_choose(danger, ACTIONS.points[wish], ACTIONS, rule, recent=recent > 0) != wish)
-        recent = _next_recent(recent, not _mask_safe_actions(danger, rule)[wish], level, rule)
+        safe = _mask_safe_actions(danger, rule, free=-1 if recent else wish)
+        recent = _next_recent(recent, not safe[wish], level, rule)
     return found
 
 
@@ -111,6 +112,14 @@ def test_who_was_helped_a_moment_ago_is_helped_again_at_once():
 
 def test_a_doubtful_tick_counts_as_one_where_nothing_is_safe_too():
     assert taken_of([0.3, 0.3], PATIENT, others=0.25) == [False, True]
+
+
+def test_a_doubt_takes_nothing_away_however_long_and_whoever_was_helped_gets_the_stick_back_later():
+    rule = DangerRuleSettings(threshold=0.05, at_once=0.6)
+    doubt = takes_away_at(rule)
+    assert 0.3 < doubt < 0.5
+    assert not any(taken_of([doubt - 0.01] * 9, rule))
+    assert taken_of([doubt, doubt, 0.06, 0.06, 0.0], rule) == [False, True, True, True, False]
 
 
 def test_levels_are_thresholds():

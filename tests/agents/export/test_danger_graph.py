@@ -150,7 +150,7 @@ def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
         told = torch.as_tensor(danger)[None], torch.as_tensor(stick)[None], torch.tensor([[last + 1.0]])
         values, later = graph._choose(*told, torch.tensor([[float(recent)]]))
         assert int(values.argmax()) == chosen[-1]
-        unsafe = not _mask_safe_actions(exact, rule, last, taken)[own]
+        unsafe = not _mask_safe_actions(exact, rule, last, taken, -1 if recent else own)[own]
         assert float(later[0, 0]) == _next_recent(recent, unsafe, float(exact[own]), rule)
         doubtful += chosen[-1] == own and 0.2 < danger[own] < 0.5 and last != own
         beyond += float(np.linalg.norm(ACTIONS.points[chosen[-1]] - stick)) > MAX_DISTANCE

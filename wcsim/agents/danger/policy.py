@@ -1,9 +1,10 @@
 """A danger network as a policy, and its folder on disk.
 
-A rule chooses the action. It takes the user's own position while that is safe enough, or unsafe for
-a single tick that may be noise. Otherwise it takes a near position that is safe enough. The choice
-among these is calm: the chair does not waver between two ways round an obstacle. The threshold of
-danger is the level of assistance, and can be set while driving.
+A rule chooses the action. It takes the user's own position until that is clearly dangerous, for
+more than a single tick that may be noise. Then it takes a near position that is safe enough, until
+the user's own is safe again. The choice among these is calm: the chair does not waver between two
+ways round an obstacle. The threshold of danger is the level of assistance; it can be set while
+driving.
 """
 
 from collections.abc import Sequence
@@ -43,6 +44,7 @@ RECENT_TICKS: Final = 5
 GIVES_BACK: Final = 0.5
 # Danger that counts as much as a joystick distance of 1 where no action is safe enough.
 DANGER_PER_DISTANCE: Final = 0.02
+_TAKES_AWAY: Final = 12.0  # times the odds of the threshold
 _MAX_LOGIT: Final = 60.0  # a logit beyond it says no more
 
 
@@ -132,7 +134,8 @@ class DangerPolicy(HearsSent):
 
         # 3. The choice. It depends on what was unsafe before this tick.
         taken = own if self._recent > 1 and own != self._last else -1
-        self.unsafe = ~_mask_safe_actions(danger, self.rule, self._last, taken)
+        free = own if self._recent == 0 else -1
+        self.unsafe = ~_mask_safe_actions(danger, self.rule, self._last, taken, free)
         chosen = _choose(
             danger, stick, self._actions, self.rule, self._last, self._recent > 0, taken
         )
@@ -241,6 +244,19 @@ def save_danger(
     return write_policy_folder(folder, net, facts)
 
 
+def takes_away_at(rule: DangerRuleSettings) -> float:
+    """The danger from which on the user's own action is taken away.
+
+    What is a little above the threshold is mostly a doubt, and users see to it themselves.
+
+    >>> rules = [DangerRuleSettings(threshold=level, at_once=0.6) for level in (0.02, 0.05, 0.2)]
+    >>> [round(takes_away_at(rule), 2) for rule in rules]
+    [0.2, 0.39, 0.6]
+    """
+    doubt = _TAKES_AWAY * rule.threshold / (1.0 + (_TAKES_AWAY - 1.0) * rule.threshold)
+    return max(rule.threshold, min(doubt, rule.at_once))
+
+
 def _choose(
     danger: F64,
     stick: F64,
@@ -272,7 +288,7 @@ def _choose(
 
     # 2. The user's own action, if it is safe enough or its danger may be noise.
     own = int(np.argmin(distance))
-    safe = _mask_safe_actions(danger, rule, last, taken)
+    safe = _mask_safe_actions(danger, rule, last, taken, -1 if recent else own)
     if safe[own] or (not recent and danger[own] < rule.at_once):
         return own
 
@@ -289,15 +305,20 @@ def _choose(
 
 
 def _mask_safe_actions(
-    danger: F64, rule: DangerRuleSettings, last: int = -1, taken: int = -1
+    danger: F64, rule: DangerRuleSettings, last: int = -1, taken: int = -1, free: int = -1
 ) -> Bool:
-    """(A,) which actions are safe enough; for the arguments see `_choose`."""
+    """(A,) which actions are safe enough; for the arguments see `_choose`.
+
+    `free` is the user's own action where it was not unsafe a short time ago, else -1.
+    """
     limit = np.full(len(danger), rule.threshold)
     if last >= 0:
         # Near the threshold the last action would be safe in one tick and unsafe in the next.
         limit[last] *= rule.hysteresis_factor
     if taken >= 0:
         limit[taken] *= GIVES_BACK
+    if free >= 0:
+        limit[free] = takes_away_at(rule)
     return danger < limit
 
 

@@ -108,11 +108,11 @@ _WARNING: Final = (
     "state_alarm holds level and warning"
 )
 _RULE: Final = (
-    "already in `values`: the user's own action where its danger is below threshold, or below "
-    "at_once and it was not above the threshold in the ticks before, which state_recent counts; "
-    "else the nearest action that is below it, each farther by danger_cost times its danger over "
-    "the threshold, the last one nearer by hysteresis and allowed up to hysteresis_factor times "
-    "the threshold; it warns above warn"
+    "already in `values`: the user's own action until the odds of its danger are 12 times those "
+    "of the threshold for two ticks, or its danger at_once; then the nearest action below the "
+    "threshold, until the own one is below half of that or state_recent has run out: each is "
+    "farther by danger_cost times its danger over the threshold, the last one nearer by hysteresis "
+    "and allowed up to hysteresis_factor times the threshold; it warns above warn"
 )
 _SENSES: Final = (
     "settings in training, in wcsim's words. Of imu: mean_gravity is about the specific force of "

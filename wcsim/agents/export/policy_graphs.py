@@ -17,7 +17,12 @@ from torch import Tensor, nn
 
 from wcsim.agents.danger import street_map
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.policy import DANGER_PER_DISTANCE, GIVES_BACK, RECENT_TICKS
+from wcsim.agents.danger.policy import (
+    DANGER_PER_DISTANCE,
+    GIVES_BACK,
+    RECENT_TICKS,
+    takes_away_at,
+)
 from wcsim.agents.networks.encoder import image_size_from_space
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.perception.alarm import CALM, NEWEST, TWO_TICKS
@@ -470,6 +475,7 @@ class DangerPolicyGraph(nn.Module):
             * (1.0 + (rule.hysteresis_factor - 1.0) * is_last)
             * (1.0 - (1.0 - GIVES_BACK) * taken)
         )
+        limit = torch.where((recent < 0.5) & own, takes_away_at(rule), limit)
         # The user's own action wins wherever it is allowed.
         cost = torch.where(own, torch.full_like(cost, -1e6), cost)
         allowed = danger < limit
