@@ -15,7 +15,6 @@ import numpy as np
 
 from benchmarks.tick.naive import NaiveLoop
 from wcsim.bridge.sumo.open_scenario import open_scenario
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import sumo_seed, warmup_s
 from wcsim.config import RunConfig
 from wcsim.towns.scenario.overrides import Settings, forced
@@ -23,6 +22,7 @@ from wcsim.towns.scenario.town import open_town
 from wcsim.towns.street import load_street
 from wcsim.towns.walking.routes import Router
 from wcsim.types import ActorKind, ActorState
+from wcsim.types.episode import RunPlace
 
 WHEEL_RADPS = 6.0
 

@@ -8,9 +8,9 @@ import pytest
 from tests.support.worlds import follow, open_world
 from wcsim.bridge.epoch import ReactingTraffic
 from wcsim.bridge.reaction.attention import AttentionModel
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoSession, open_session
 from wcsim.core import seeding
+from wcsim.types.episode import RunPlace
 
 TICKS = 250
 

@@ -18,8 +18,7 @@ from wcsim.view.street_scene import (
     MOST_ROWS,
     CameraKind,
     StreetFeed,
-    models_to_buffer,
-    tile_to_buffer,
+    _tile_to_buffer,
 )
 
 HEAD_BYTES, ROW_BYTES = 52, 22
@@ -65,7 +64,7 @@ def test_a_tile_has_the_triangles_and_colours_of_the_rasteriser(session: DriveSe
     tiles = session.world.street.tiles
     mesh = tiles.mesh(tiles.keys[0])
     store = GeometryStore(mesh).arrays
-    street, marks = blocks(tile_to_buffer(mesh))
+    street, marks = blocks(_tile_to_buffer(mesh))
     vertices, faces, words, frames = street
     assert len(faces) == len(mesh.faces) and faces.max() < len(vertices)
     assert sorted((words[:, 0] & 0xFFFFFF).tolist()) == sorted(store.rgb.tolist())
@@ -77,8 +76,9 @@ def test_a_tile_has_the_triangles_and_colours_of_the_rasteriser(session: DriveSe
     assert len(marks[1]) > 0, "lines and stones of kerbs"
 
 
-def test_models_are_those_of_the_cameras() -> None:
-    models, buffer = actor_templates(), models_to_buffer()
+def test_models_are_those_of_the_cameras(session: DriveSession) -> None:
+    models, buffer = actor_templates(), next(feed_of(session).news(moment(session)))[1]
+    assert isinstance(buffer, bytes)
     count, vertices, faces, paints = struct.unpack_from("<4I", buffer)
     assert (vertices, faces) == (len(models.vertices), len(models.faces))
     size = 16 + 8 * (count + 1) + 12 * vertices + 12 * faces + 48 * paints + faces

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, warmup_s
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import RolloutStep, rollout
@@ -29,6 +28,7 @@ from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.net import read_net
 from wcsim.types import F64, ActorState, SeatSpec, Snapshot
+from wcsim.types.episode import RunPlace
 from wcsim.users.recordings.recorded_user import find_user
 
 # Within a tick a chair drives on, and actors pass the edge of its surroundings.

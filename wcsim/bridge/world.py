@@ -20,7 +20,6 @@ from wcsim.bridge.ego.ego import XY, Ego, EgoSlots
 from wcsim.bridge.epoch import Epoch
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.sumo.actors import moved
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import (
     open_session,
     refuse_second_world,
@@ -52,6 +51,7 @@ from wcsim.types import (
     TileKey,
     UserView,
 )
+from wcsim.types.episode import RunPlace
 from wcsim.types.street import StreetTiles, join_meshes
 from wcsim.users.profiles import find_profile
 from wcsim.users.user import FindUser

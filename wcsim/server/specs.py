@@ -10,7 +10,6 @@ from typing import Final, TypeVar
 
 import msgspec
 
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.core.reading import ORDER, read_bytes
 from wcsim.errors import ConfigError, WcsimError
@@ -23,6 +22,7 @@ from wcsim.server.protocol.events import ServerRules
 from wcsim.server.protocol.messages import ANY_SEAT
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import SeatSpec
+from wcsim.types.episode import RunPlace
 
 WORLD_ARGV: Final = (sys.executable, "-m", "wcsim.server.host.process")
 MOST_READ_BYTES: Final = 8 << 20  # of a journal, between a death and a restart

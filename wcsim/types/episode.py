@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import struct
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -188,3 +189,13 @@ class SeatSpec:
     # A reading lists what is near, for `env.observation=state`; cameras draw only colours then.
     near: bool = False
     start: StartSpec | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunPlace:
+    """Where the outputs of a world go, and what else its user requests of SUMO."""
+
+    # A run folder; without one everything SUMO writes is removed when the world closes.
+    folder: Path | None = None
+    outputs: tuple[str, ...] = ()  # more outputs than the scenario's own: "fcd", "tripinfo", ...
+    hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`

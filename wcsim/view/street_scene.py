@@ -88,13 +88,24 @@ class StreetFeed:
         first = self._from_m is None
         if self._from_m is None:
             self._from_m = [float(round(part)) for part in p_W_m]
-            yield f"models-{self._number}", models_to_buffer()
+            models = actor_templates()
+            count = len(models.faces_of) - 1
+            head = _MODELS.pack(count, len(models.vertices), len(models.faces), len(models.paints))
+            parts = (
+                models.vertices_of.astype("<u4"),
+                models.faces_of.astype("<u4"),
+                models.vertices.astype("<f4"),
+                models.faces.astype("<u4"),
+                models.paints.round().astype("u1"),  # (paints, 16, 3)
+                models.face_paint.astype("u1"),
+            )
+            yield f"models-{self._number}", head + b"".join(part.tobytes() for part in parts)
 
         # 2. The tiles that have come near, and those that are near no more.
         names = {f"{self._number}_{key[0]}_{key[1]}": key for key in tiles.near(p_W_m[None], SIGHT_M)}
         fresh = [name for name in names if name not in self._tiles][: None if first else 1]
         for name in fresh:
-            yield name, tile_to_buffer(tiles.mesh(names[name]))
+            yield name, _tile_to_buffer(tiles.mesh(names[name]))
         before = self._tiles
         self._tiles = [name for name in (*before, *fresh) if name in names]
         if self._tiles != before:
@@ -129,7 +140,34 @@ class StreetFeed:
         """A moment in one message: its number, then for each part a letter, its length, its bytes."""
         eye_W_m = moment.chair.p_WB_m[None]
         rows, shown = self._cast.seen(moment.actors, moment.chairs, moment.signals, (_NO_SEAT,), eye_W_m, SIGHT_M)
-        parts = [(b"P", scene_to_buffer(rows, moment))]
+        chair = moment.chair
+        # 1. The nearest rows.
+        away_m = rows.p_W_m - chair.p_WB_m
+        gap_m = np.hypot(away_m[:, 0], away_m[:, 1])
+        near = np.argsort(gap_m, kind="stable")[:MOST_ROWS]
+        near = near[gap_m[near] < SIGHT_M]
+
+        # 2. In as few bytes as a picture needs.
+        told = np.zeros(len(near), _ROW)
+        told["id"] = rows.colour_seed[near]
+        told["place_cm"] = np.rint(100.0 * away_m[near])
+        told["size_cm"] = np.rint(100.0 * rows.scale_m[near])
+        told["yaw"] = np.rint(1e4 * (np.mod(rows.yaw_rad[near] + np.pi, 2.0 * np.pi) - np.pi))
+        told["pitch"] = np.rint(100.0 * rows.pitch_rad[near]).clip(-127, 127)
+        told["roll"] = np.rint(100.0 * rows.roll_rad[near]).clip(-127, 127)
+        told["template"] = rows.template[near]
+        told["lamps"] = rows.lamps[near] & 0xFF
+
+        # 3. The chair.
+        R_WB = rotation_of(chair.q_WB)
+        turns = (
+            math.atan2(R_WB[1, 0], R_WB[0, 0]),
+            math.asin(min(1.0, max(-1.0, R_WB[2, 0]))),
+            math.atan2(R_WB[2, 1], R_WB[2, 2]),
+        )
+        motion = moment.motion or (0.0, 0.0)
+        head = _SCENE.pack(*chair.p_WB_m.tolist(), *turns, *motion, moment.done_m, len(told), moment.jumped)
+        parts = [(b"P", head + told.tobytes())]
         if camera is not CameraKind.NOTHING and self._front is not None:
             picture = self._seen(moment, camera, self._front, rows, shown[0])
             _, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 80])
@@ -164,7 +202,7 @@ def _lifted(route: Route, ground: Ground) -> list[list[float]]:
     return places
 
 
-def tile_to_buffer(mesh: StreetMesh) -> bytes:
+def _tile_to_buffer(mesh: StreetMesh) -> bytes:
     """The triangles of a tile, then those of its marks, each painted as in `GeometryStore`."""
     store = GeometryStore(mesh)
     marks = b"" if store.marks is None else _block(store.marks)
@@ -186,51 +224,3 @@ def _block(store: GeometryStore) -> bytes:
     )
     head = _BLOCK.pack(len(street.vertices), len(order), count)
     return head + b"".join(part.tobytes() for part in parts)
-
-
-def models_to_buffer() -> bytes:
-    """All models in unit boxes: where each begins, its triangles, and the table of paints."""
-    models = actor_templates()
-    count = len(models.faces_of) - 1
-    head = _MODELS.pack(count, len(models.vertices), len(models.faces), len(models.paints))
-    parts = (
-        models.vertices_of.astype("<u4"),
-        models.faces_of.astype("<u4"),
-        models.vertices.astype("<f4"),
-        models.faces.astype("<u4"),
-        models.paints.round().astype("u1"),  # (paints, 16, 3)
-        models.face_paint.astype("u1"),
-    )
-    return head + b"".join(part.tobytes() for part in parts)
-
-
-def scene_to_buffer(rows: Instances, moment: Moment) -> bytes:
-    """One moment: the chair's pose and motion, then the nearest of what moves, the chair itself too."""
-    chair = moment.chair
-    # 1. The nearest rows.
-    away_m = rows.p_W_m - chair.p_WB_m
-    gap_m = np.hypot(away_m[:, 0], away_m[:, 1])
-    near = np.argsort(gap_m, kind="stable")[:MOST_ROWS]
-    near = near[gap_m[near] < SIGHT_M]
-
-    # 2. In as few bytes as a picture needs.
-    told = np.zeros(len(near), _ROW)
-    told["id"] = rows.colour_seed[near]
-    told["place_cm"] = np.rint(100.0 * away_m[near])
-    told["size_cm"] = np.rint(100.0 * rows.scale_m[near])
-    told["yaw"] = np.rint(1e4 * (np.mod(rows.yaw_rad[near] + np.pi, 2.0 * np.pi) - np.pi))
-    told["pitch"] = np.rint(100.0 * rows.pitch_rad[near]).clip(-127, 127)
-    told["roll"] = np.rint(100.0 * rows.roll_rad[near]).clip(-127, 127)
-    told["template"] = rows.template[near]
-    told["lamps"] = rows.lamps[near] & 0xFF
-
-    # 3. The chair.
-    R_WB = rotation_of(chair.q_WB)
-    turns = (
-        math.atan2(R_WB[1, 0], R_WB[0, 0]),
-        math.asin(min(1.0, max(-1.0, R_WB[2, 0]))),
-        math.atan2(R_WB[2, 1], R_WB[2, 2]),
-    )
-    motion = moment.motion or (0.0, 0.0)
-    head = _SCENE.pack(*chair.p_WB_m.tolist(), *turns, *motion, moment.done_m, len(told), moment.jumped)
-    return head + told.tobytes()

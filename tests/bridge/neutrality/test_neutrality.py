@@ -6,11 +6,11 @@ import pytest
 
 from tests.bridge.neutrality.neutral import same
 from tests.support.worlds import quick_config
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.sumo.tools import Limits, run_tool
+from wcsim.types.episode import RunPlace
 
 SEED = 7
 OUTPUTS = ("fcd", "tripinfo")

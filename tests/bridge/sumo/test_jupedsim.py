@@ -9,7 +9,6 @@ import pytest
 from benchmarks.reaction.engineless_world import ReactionStage
 from wcsim.bridge.reaction.commands import ActorCommand
 from wcsim.bridge.sumo.open_scenario import open_scenario
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.config import WorldConfig
 from wcsim.errors import TownError
 from wcsim.towns.scenario.overrides import Settings
@@ -19,6 +18,7 @@ from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.xml_io import read_root, xml_bytes
 from wcsim.types import Street
+from wcsim.types.episode import RunPlace
 
 ISLAND = {
     "street.nod.xml": '<node id="I" x="0" y="90"/><node id="J" x="30" y="90"/>',

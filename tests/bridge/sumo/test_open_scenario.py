@@ -6,12 +6,12 @@ import pytest
 from tests.support.worlds import quick_config
 from tests.towns.made import hostile
 from wcsim.bridge.sumo.open_scenario import open_scenario
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession, world_in_this_process
 from wcsim.bridge.world import World
 from wcsim.errors import TownError
 from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.town import Town, open_town
+from wcsim.types.episode import RunPlace
 
 SETTINGS = Settings(world=quick_config().world, seed=1)
 

@@ -11,7 +11,6 @@ from tests.bridge.sumo.test_session import options
 from tests.server.servers import alone
 from tests.support.lit_road import CROSSING_LINKS, lit_road
 from tests.support.worlds import follow, quick_config
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoSession, world_in_this_process
 from wcsim.bridge.sumo.step_hook import HookChair
 from wcsim.bridge.world import World
@@ -22,6 +21,7 @@ from wcsim.server.specs import WorldBuildSpec
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.net import LaneKind, read_net
 from wcsim.types import SeatSpec, StartSpec
+from wcsim.types.episode import RunPlace
 
 MODULE = '''
 MADE = []

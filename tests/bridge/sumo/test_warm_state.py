@@ -10,10 +10,10 @@ import pytest
 
 from tests.support.worlds import quick_config
 from tests.towns.made import hostile
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoSession, open_session
 from wcsim.bridge.sumo.warm_state import mend_state, read_state, save_state
 from wcsim.towns.scenario.town import Town, find_town, open_town
+from wcsim.types.episode import RunPlace
 
 
 @pytest.fixture(autouse=True)

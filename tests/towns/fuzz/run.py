@@ -149,12 +149,12 @@ def run_case(case: Case, base: Path, work: Path) -> tuple[str, str]:
 def _drive(theirs: Path, run: Path, number: int) -> None:
     """What a user does with somebody's scenario: look at it, then drive in it."""
     from tests.support.worlds import follow, quick_config
-    from wcsim.bridge.sumo.run_place import RunPlace
     from wcsim.bridge.world import World
     from wcsim.towns.checks.check import check_town
     from wcsim.towns.importing.adopt import adopt_scenario
     from wcsim.towns.scenario.town import find_town
     from wcsim.types import SeatSpec
+    from wcsim.types.episode import RunPlace
 
     town = find_town(str(theirs / "base.sumocfg" if number % 2 else theirs))
     if number % 4 == 0:

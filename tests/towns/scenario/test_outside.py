@@ -11,13 +11,13 @@ from tests.support.worlds import quick_config
 from tests.towns.conftest import WriteScenario
 from tests.towns.made import hostile
 from tests.towns.scenario.test_stage import SETTINGS, staged_in
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.cli.main import main
 from wcsim.errors import TownError
 from wcsim.towns.importing.adopt import adopt_scenario
 from wcsim.towns.scenario.stage import stage_scenario
 from wcsim.towns.scenario.town import Town, find_town, open_town
+from wcsim.types.episode import RunPlace
 
 EVIL = '<routes><vType id="t"><param key="device.ssm.file" value="/anywhere/x"/></vType></routes>'
 HIDDEN = {

@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 
 from wcsim.bridge.replay.player import LogPlayer, MakesEpoch
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
 from wcsim.core.constants import RECORDED
@@ -41,6 +40,7 @@ from wcsim.towns.scenario.town import Town, content_hash, find_town, towns_hash
 from wcsim.towns.scene_folders.build import build_scene, scene_digest
 from wcsim.towns.scene_folders.families import FAMILIES, write_scene
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec
+from wcsim.types.episode import RunPlace
 from wcsim.users.recordings.recorded_user import find_user
 
 _NAME: Final = re.compile(r"([a-z-]{1,40}) (\d{1,18}) ([0-9a-f]{64})")

@@ -12,7 +12,6 @@ from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
 
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.warm_state import state_file
 from wcsim.config.world import JUPEDSIM
 from wcsim.core.files import sha256_from_text
@@ -24,6 +23,7 @@ from wcsim.towns.scenario.overrides import PEOPLE, Settings
 from wcsim.towns.scenario.stage import Scenario, stage_scenario
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.tools import Limits, ToolRun, run_child, run_tool
+from wcsim.types.episode import RunPlace
 
 log = logging.getLogger("wcsim.bridge.sumo.open_scenario")
 

@@ -24,7 +24,6 @@ import numpy as np
 
 from wcsim.bridge.sumo.actors import ActorReader, SignalReader
 from wcsim.bridge.sumo.open_scenario import open_scenario, try_state
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.signal_control import SignalControl
 from wcsim.bridge.sumo.step_hook import HookChair, StepHook
 from wcsim.bridge.sumo.vehicle_control import VehicleControl
@@ -49,6 +48,7 @@ from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.tools import UTF_8, missing_library
 from wcsim.towns.sumo.warning_log import WarningLog
 from wcsim.types import F64, ActorState, SignalState
+from wcsim.types.episode import RunPlace
 
 try:
     import libsumo

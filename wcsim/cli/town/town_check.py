@@ -127,7 +127,7 @@ def try_town_in_sumo(town: Town) -> None:
     """
     # These load libsumo, which --help must not.
     from wcsim.bridge.sumo.open_scenario import open_scenario
-    from wcsim.bridge.sumo.run_place import RunPlace
+    from wcsim.types.episode import RunPlace
 
     with ExitStack() as held:
         open_scenario(town, Settings(world=resolve("quick").world, seed=1), RunPlace(), held)

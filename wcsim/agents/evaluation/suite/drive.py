@@ -29,7 +29,6 @@ from wcsim.agents.evaluation.suite.records import (
 from wcsim.agents.opening.list_file import BlockSetup, make_episode_seat_spec
 from wcsim.agents.policies.dwa import VetoPolicy
 from wcsim.agents.policy_api import Observation, Policy, Warns
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
@@ -40,6 +39,7 @@ from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.kpi import KpiStep, make_crash_fields, sum_kpi_steps
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.types import ClientSnapshot, Joystick
+from wcsim.types.episode import RunPlace
 from wcsim.users.recordings.recorded_user import find_user
 
 LATE_S: Final = 10.0  # of processor time: a policy that needs longer for an answer has failed
