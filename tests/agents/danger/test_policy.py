@@ -49,7 +49,7 @@ def test_it_follows_where_nothing_is_dangerous_and_brings_down_danger_where_all_
 def test_a_tick_of_doubt_is_forgotten_with_everything_else_at_a_reset():
     """Every action has a danger of some 0.3, above the threshold: the second tick takes the user's own away."""
     policy, config = policy_of(base=-0.8), small_config()
-    policy.rule = DangerRuleSettings(at_once=0.9)
+    policy.rule = DangerRuleSettings(threshold=0.02, at_once=0.9)
     for _ in range(2):
         policy.reset()
         seen = observation(config)

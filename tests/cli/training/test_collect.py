@@ -16,5 +16,5 @@ def test_a_network_of_camera_pictures_drives_no_more(wcsim, folder, corner):
     Path("seeing/policy.json").write_text(json.dumps({**said, "net": {**said["net"], "eye": "picture"}}))
     before = files_in(folder)
     told = wcsim("collect", "--town", corner, "--policy", "seeing", "--out", "data")
-    refused(told, "eye is 'picture'", "expected 'map': train it again")
+    refused(told, "unknown key 'net.eye'", "remove it")
     assert files_in(folder) == before
