@@ -97,6 +97,8 @@ def test_files_come_before_lines_once_and_the_way_when_it_changes(session: Drive
     assert names[Template.CAR] == "car" and names[-1] == "pedestrian"
     assert set(street["tiles"]) | {street["models"]} == {name for name, told in news if isinstance(told, bytes)}
     assert list(feed.news(moment(session))) == []
+    again = replace(moment(session), route=replace(session.route))
+    assert list(feed.news(again)) == [], "a film reads its route anew in each frame"
     session.new_place()
     assert [name for name, _ in feed.news(moment(session))] == ["way"]
 

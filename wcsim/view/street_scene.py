@@ -112,7 +112,7 @@ class StreetFeed:
             yield "street", self._about()
 
         # 3. The way, where that is another one.
-        if first or moment.route is not self._route:
+        if first or moment.route != self._route:
             self._route = moment.route
             yield "way", {"points": [] if moment.route is None else _lifted(moment.route, self._street.grid)}
 

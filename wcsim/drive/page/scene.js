@@ -2,7 +2,7 @@
 
 import { OrthographicCamera, PerspectiveCamera, Raycaster, Vector3, WebGLRenderer } from "./three.js";
 import { by, element, put } from "./shared.js";
-import { between, betweenAngles, RANGE_M, Street3D, tickOf } from "./street.js";
+import { between, betweenAngles, isLamp, isWalker, RANGE_M, Street3D, tickOf } from "./street.js";
 
 const HOME = { turn_rad: 0, tilt_rad: 0.38, distance_m: 6 };
 const STEP = { left: [-0.25, 0, 1], right: [0.25, 0, 1], up: [0, 0.12, 1], down: [0, -0.12, 1], in: [0, 0, 0.85], out: [0, 0, 1.18] };
@@ -403,8 +403,8 @@ export class Scene {
     }
     for (const row of this.ticks[1].rows.values()) {
       if (this.isFixed(row, this.ticks[1].p)) continue;
-      pen.beginPath(); pen.arc(...at(row.p), row.template >= 31 ? 4 : 3.5, 0, 7);
-      pen.fillStyle = row.template >= 31 ? "#d62846" : "#2456be"; pen.fill();
+      pen.beginPath(); pen.arc(...at(row.p), isWalker(row) ? 4 : 3.5, 0, 7);
+      pen.fillStyle = isWalker(row) ? "#d62846" : "#2456be"; pen.fill();
       pen.lineWidth = 1.5; pen.strokeStyle = "#fff"; pen.stroke();
     }
     const mark = (x, y, angle, shape, colour) => {
@@ -493,7 +493,7 @@ export class Scene {
   }
 
   // The chair itself, and lamps.
-  isFixed(row, p) { return (row.template === CHAIR && Math.hypot(row.p[0] - p[0], row.p[1] - p[1]) < 0.8) || (row.template >= 23 && row.template < 31); }
+  isFixed(row, p) { return (row.template === CHAIR && Math.hypot(row.p[0] - p[0], row.p[1] - p[1]) < 0.8) || isLamp(row); }
 
   // The height of what is met from a metre above a place in W downwards; that place's where nothing is.
   heightAt(x, y, z) {

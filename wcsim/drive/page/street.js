@@ -6,7 +6,10 @@ import {
 } from "./three.js";
 
 export const RANGE_M = 160;
-const WALKER = 31; // from this template on people walk; see `Template`
+// What a template is, see `Template`: lamps stand between vehicles and people.
+const LAMP = 23, WALKER = 31;
+export const isLamp = (row) => row.template >= LAMP && row.template < WALKER;
+export const isWalker = (row) => row.template >= WALKER;
 const CAPACITY = 96;
 const HEAD_BYTES = 52, ROW_BYTES = 22;
 
@@ -372,7 +375,7 @@ export class Street3D {
         sy * cp * l, (-sy * sp * sr + cy * cr) * w, (-sy * sp * cr - cy * sr) * h, y,
         sp * l, cp * sr * w, cp * cr * h, z, 0, 0, 0, 1));
       mesh.geometry.attributes.look.setXYZ(at, row.seed & 65535, row.seed >>> 16, row.lamps);
-      if (row.template < 23 || row.template >= WALKER) shadows.push([x, y, z + 0.03, 0.5 * l + 0.2, 0.5 * w + 0.2, row.yaw]);
+      if (!isLamp(row)) shadows.push([x, y, z + 0.03, 0.5 * l + 0.2, 0.5 * w + 0.2, row.yaw]);
     }
     for (const [template, mesh] of this.byTemplate) {
       mesh.count = counts.get(template) ?? 0;

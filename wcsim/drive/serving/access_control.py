@@ -45,8 +45,9 @@ class AccessControl:
             return "the Origin header is missing; open the printed address"
         if origin is not None and origin.lower() != f"http://{host}".lower():
             return "a page of another site may not connect"
-        asks = socket or urlsplit(path).path == "/" or urlsplit(path).path.startswith("/street/")
-        said = parse_qs(urlsplit(path).query).get("token", [""])[0]
+        asked = urlsplit(path)
+        asks = socket or asked.path == "/" or asked.path.startswith("/street/")
+        said = parse_qs(asked.query).get("token", [""])[0]
         if self.token and asks and not hmac.compare_digest(said.encode(), self.token.encode()):
             return "the token is missing or wrong; open the printed address"
         return ""

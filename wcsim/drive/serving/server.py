@@ -467,6 +467,8 @@ class DriveServer:
             self._say(body.decode())
         elif kind == FILE:
             name, _, file = body.partition(b"\0")
+            if name.startswith(b"models-"):  # another street begins with them
+                self._files.clear()
             self._files[name.decode()] = file
         elif kind == DONE:
             self._words.done()
