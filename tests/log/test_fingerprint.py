@@ -17,3 +17,12 @@ def test_golden_traces_outlive_versions_of_wcsim(monkeypatch):
     told, known = make_engine_fingerprint(), here.read_package_version
     monkeypatch.setattr(here, "read_package_version", lambda name: "0" if name == "wcsim" else known(name))
     assert make_engine_fingerprint() == told
+
+
+def test_a_cpu_that_is_told_as_an_older_one_is_another(monkeypatch):
+    told = []
+    for units in ("", " avx512f", " amx_tile"):
+        cpu = f"vendor_id : Intel\ncpu family : 6\nmodel : 167\nflags : avx2{units}\n\n"
+        monkeypatch.setattr(here.Path, "read_text", lambda *_, cpu=cpu, **__: cpu)
+        told.append(make_engine_fingerprint())
+    assert told[0] == told[1] != told[2] and "Intel-6-167-amx" in told[2].split()

@@ -38,4 +38,6 @@ def _cpu_kind() -> str:
     # Reversed, so that of all cores the first one's values stay.
     pairs = [line.partition(":") for line in reversed(lines)]
     first = {name.strip(): value.strip() for name, _, value in pairs}
-    return "-".join(first.get(name, "?") for name in _CPU_KIND)
+    # A virtual machine may tell the model of an older CPU, without units that are there.
+    newer = ["amx"] if "amx_tile" in first.get("flags", "").split() else []
+    return "-".join([*(first.get(name, "?") for name in _CPU_KIND), *newer])
