@@ -1,1 +1,1 @@
-"""A person drives: a chair in a town, steered from a web page; judging policies is `agents/evaluation`'s."""
+"""A person steers a chair through a town from a web page; `agents/evaluation` judges policies."""

@@ -1,4 +1,4 @@
-"""The policy beside a person: switched off and on, set to a level, and overruled, while it drives."""
+"""The policy beside a person: switched on or off, set to a level, and overruled while it drives."""
 
 import logging
 from collections.abc import Callable
@@ -21,38 +21,38 @@ log = logging.getLogger("wcsim.drive")
 class Answer:
     """What came of one question to the policy."""
 
-    chosen: int  # the policy's own action, that nearest to the stick where it is off
-    sent: int  # what the chair is told
+    chosen: int  # the policy's own action; where it is off, the action nearest to the stick
+    sent: int  # the action that the chair is told
     warning: bool = False
-    intervening: bool = False  # what is sent follows the stick no more
+    intervening: bool = False  # the action sent no longer follows the stick
     unsafe: tuple[int, ...] = ()
 
 
 class Assistance:
-    """A policy that may be off, or overruled; it sees every tick all the same, so that it knows the street.
+    """A policy that may be off or overruled. It still sees every tick, so that it knows the street.
 
-    A request for help raises it for a while, though it be off, see `Helping`.
+    After a request for help it assists for a while, even if it was off; see `Helping`.
 
     Args:
-        policy: Drives; it is begun with its first episode.
+        policy: Drives; `reset` begins it with its first episode.
         actions: The joystick positions.
         help_ticks: How long it helps after a request.
     """
 
     def __init__(self, policy: Policy, actions: ActionSet, help_ticks: int = 0) -> None:
-        self._on, self.failed = True, ""  # `failed` says why a policy that broke was switched off
+        self._on, self.failed = True, ""  # `failed`: why a policy that broke is off
         self._agent, self._actions = PolicyAgentAdapter(policy, actions, help_ticks), actions
-        self._drawn: Drawn | None = None  # for the episode of now
-        self.own_level = self.level  # the one that the policy came with
+        self._drawn: Drawn | None = None  # for the current episode
+        self.own_level = self.level  # the level that the policy came with
 
     @property
     def name(self) -> str:
-        """The policy's."""
+        """The name of the policy."""
         return self._agent.policy.name
 
     @property
     def on(self) -> bool:
-        """Whether the policy has its say, because it is switched on or helps."""
+        """Whether the policy decides, because it is switched on or helps."""
         return not self.failed and (self._on or self.help_left > 0)
 
     @property
@@ -62,12 +62,12 @@ class Assistance:
 
     @property
     def levels(self) -> tuple[float, float] | None:
-        """The level that assists least and that which assists most; None for a policy without levels."""
+        """The levels that assist least and most; None for a policy without levels."""
         return self._agent.policy.levels if isinstance(self._agent.policy, Levelled) else None
 
     @property
     def level(self) -> float | None:
-        """The level of now; None for a policy without levels."""
+        """The current level; None for a policy without levels."""
         return self._agent.policy.level if isinstance(self._agent.policy, Levelled) else None
 
     @property
@@ -76,7 +76,7 @@ class Assistance:
         return isinstance(self._agent.policy, TellsUnsafe)
 
     def switch(self, on: bool) -> None:
-        """Let the policy have its say, or not, which ends help; one that broke is tried again."""
+        """Switch the policy on or off. Off ends help; on tries a policy that broke again."""
         if on and self.failed:
             self.failed = ""
             self._guarded(self._anew)
@@ -85,18 +85,24 @@ class Assistance:
         self._on = on and not self.failed
 
     def ask_for_help(self) -> None:
-        """Helping from now on; where help is on already, its time begins again. A policy that broke does not."""
+        """Help from now on, or for the full time again. A policy that broke does not help."""
         if not self.failed:
             self._guarded(self._agent.help.request)
 
     def end_tick(self) -> None:
-        """A tick has been driven: the time of help runs."""
+        """A tick has been driven: the time of help runs down."""
         self._guarded(self._agent.help.tick)
 
     def set_level(self, level: float) -> None:
-        """Assist so from now on; help is over. Raises PolicyError without levels, or for a level out of bounds."""
+        """Set the level, which ends help.
+
+        Raises:
+            PolicyError: The policy has no levels, or this one is out of bounds.
+        """
         if not isinstance(self._agent.policy, Levelled):
-            raise PolicyError(f"policy {self.name!r} has no adjustable level; expected dwa or a danger network")
+            raise PolicyError(
+                f"policy {self.name!r} has no adjustable level; expected dwa or a danger network"
+            )
         try:
             self._agent.help.end()
             self._agent.policy.set_level(level)
@@ -106,13 +112,13 @@ class Assistance:
             self._broken(error)
 
     def reset(self, drawn: Drawn | None) -> None:
-        """An episode begins, for which `drawn` was drawn; a policy that broke does not see it."""
+        """An episode begins with the draws `drawn`; a policy that broke does not see it."""
         self._drawn = drawn
         if not self.failed:
             self._guarded(self._anew)
 
     def close(self) -> None:
-        """Let go of the policy, where it holds something."""
+        """Close the policy, if it can be closed."""
         close = getattr(self._agent.policy, "close", None)
         if close is not None:
             close()
@@ -120,36 +126,41 @@ class Assistance:
     def answer(self, seen: Observation, info: dict[str, Any], asked: bool) -> Answer:
         """What the chair is to do.
 
-        A policy that raises is switched off, and the chair is told to stand in that tick; `failed` says why.
+        A policy that raises is switched off, and the chair stands in that tick. `failed` says why.
 
         Args:
-            seen: The observation, the stick in it.
+            seen: The observation, with the stick in it.
             info: Of the same moment.
-            asked: The policy has a say; it has none while it is overruled, or the user drives alone before a handover.
+            asked: The policy may decide: it is not overruled, and the user does not drive alone
+                before a handover.
         """
         own = self._actions.nearest(seen["joystick"])
         if self.failed:
             return Answer(chosen=own, sent=own)
         try:
             return self._answered(seen, info, own, asked)
-        except Exception as error:  # whatever a policy does wrong, the person is not left in a chair that drives on
+        except Exception as error:
+            # Whatever a policy does wrong, the chair must not drive on with the person in it.
             self._broken(error)
             rest = self._actions.nearest((0.0, 0.0))
             return Answer(chosen=rest, sent=rest)
 
     def _answered(self, seen: Observation, info: dict[str, Any], own: int, asked: bool) -> Answer:
+        policy = self._agent.policy
         chosen = self._agent.help.choice(self._agent.choose(seen, info))
         sent = chosen if self.on and asked else own
-        if isinstance(self._agent.policy, HearsSent):
-            self._agent.policy.sent(sent)
+        if isinstance(policy, HearsSent):
+            policy.sent(sent)
         far = self._actions.distance(sent, tuple(float(part) for part in seen["joystick"]))
-        warns = isinstance(self._agent.policy, Warns) and self._agent.policy.warning
+        warns = isinstance(policy, Warns) and policy.warning
         return Answer(
             chosen=chosen if self.on else own,
             sent=sent,
             warning=bool(self.on and warns),
             intervening=self.on and asked and far > FOLLOWED,
-            unsafe=self._unsafe() if self.on else (),
+            unsafe=tuple(policy.unsafe.nonzero()[0].tolist())
+            if self.on and isinstance(policy, TellsUnsafe)
+            else (),
         )
 
     def _anew(self) -> None:
@@ -165,12 +176,10 @@ class Assistance:
     def _broken(self, error: Exception) -> None:
         """Switch off a policy that raised."""
         self._on = False
-        self.failed = str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
+        self.failed = (
+            str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
+        )
         self.failed = self.failed or type(error).__name__
-        with suppress(Exception):  # what it does now is of no account
+        with suppress(Exception):  # a second failure does not matter
             self._agent.help.end()
         log.warning("policy %s failed, assistance is off: %s", self.name, self.failed)
-
-    def _unsafe(self) -> tuple[int, ...]:
-        policy = self._agent.policy
-        return tuple(policy.unsafe.nonzero()[0].tolist()) if isinstance(policy, TellsUnsafe) else ()

@@ -1,4 +1,4 @@
-"""What a drive tells its observers (a recorder, a test): the records of its log, a tick or an event each."""
+"""What a drive tells its observers (a recorder, a test): the records of its ticks and events."""
 
 import math
 from collections.abc import Callable
@@ -9,6 +9,9 @@ from wcsim.log.records import Admitted, DriveTick, Note, Respawned
 from wcsim.supervisor.kpi import FOLLOWED
 from wcsim.types import Joystick
 
+# Of a person's stick.
+LEAST_SPEED, LEAST_SENSITIVITY, MOST_SENSITIVITY = 0.2, 0.5, 2.0
+# Fields of a tick, and the counters of `KpiTotals`.
 _COUNTED: Final = {
     "crashed": "crashes",
     "dropped": "drops",
@@ -18,7 +21,21 @@ _COUNTED: Final = {
     "warning": "warnings",
     "intervening": "interventions",
     "overruled": "overrules",
-}  # fields of a tick, and the counters of `KpiTotals`
+}
+DriveRecord = DriveTick | Note | Respawned | Admitted
+"""One record: a tick, an event, another start of the episode, or another simulated user.
+
+- `Respawned`: the episode begins elsewhere than the world began it.
+- `Admitted`: another simulated user sits there, in another chair.
+
+These two come before the event `EPISODE`.
+"""
+DriveObserver = Callable[[DriveRecord], object]
+"""Observes a drive and changes nothing. It gets each finished tick, and each event before its tick.
+
+Ticks are numbered from 1 over the whole drive; their arrays are copies. An observer that has
+`close` is closed with the drive.
+"""
 
 
 class DriverKind(StrEnum):
@@ -28,15 +45,12 @@ class DriverKind(StrEnum):
     SIMULATED = "simulated"
 
 
-LEAST_SPEED, LEAST_SENSITIVITY, MOST_SENSITIVITY = 0.2, 0.5, 2.0  # of a person's stick
-
-
 class EventKind(StrEnum):
     """What is written into a drive's event log."""
 
     BEGUN = "begun"
     EPISODE = "episode"
-    REBUILT = "rebuilt"  # the world is another one, at its beginning, before `EPISODE`
+    REBUILT = "rebuilt"  # the world is built anew; comes before `EPISODE`
     DRIVER = "driver"
     ASSISTANCE = "assistance"
     LEVEL = "level"
@@ -58,26 +72,16 @@ class EventKind(StrEnum):
     POLICY_FAILED = "policy-failed"
 
 
-DriveRecord = DriveTick | Note | Respawned | Admitted
-"""A tick; an event; that the episode begins elsewhere than the world began it; that another simulated user sits there,
-in another chair. The last two come before the event `EPISODE`."""
-DriveObserver = Callable[[DriveRecord], object]
-"""Observes a drive, and changes nothing: each tick that is done, and each event before the tick that it belongs to.
-
-Ticks are numbered over the drive, from 1 on; their arrays are copies. One that has `close` is closed with the drive.
-"""
-
-
 def happened_in(tick: object) -> set[str]:
-    """What a chair's tick, of a drive or a film, counts for: names of the counters of `KpiTotals`."""
+    """Names of the counters of `KpiTotals` that a chair's tick, of a drive or a film, adds to."""
     return {counter for field, counter in _COUNTED.items() if getattr(tick, field, False)}
 
 
 def xy_of(stick: Joystick) -> tuple[float, float]:
-    """A stick as pages and films hold it."""
+    """A stick's x and y, rounded, as pages and films hold it."""
     return round(stick.x, 4), round(stick.y, 4)
 
 
 def is_intervention(asked: Joystick, given: Joystick) -> bool:
-    """Whether what a chair was given follows its user's stick no more, by the tolerance of KPI 1."""
+    """Whether a chair's command no longer follows its user's stick, by the tolerance of KPI 1."""
     return math.hypot(asked.x - given.x, asked.y - given.y) > FOLLOWED

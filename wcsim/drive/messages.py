@@ -1,4 +1,4 @@
-"""What the pages of a drive and of a film say and hear: typed JSON with a bound on every field, read at one door."""
+"""The messages of drive and film pages: typed JSON, a bound on every field, read in `of_page`."""
 
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Final
@@ -22,14 +22,17 @@ Level = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
 Jump = Annotated[int, msgspec.Meta(ge=-100_000, le=100_000)]
 
 
-class PageMessage(msgspec.Struct, tag_field="say", tag=str.lower, frozen=True, forbid_unknown_fields=True):
-    """Base of what a page says: an object with its name in `say`, unknown fields refused."""
+class PageMessage(
+    msgspec.Struct, tag_field="say", tag=str.lower, frozen=True, forbid_unknown_fields=True
+):
+    """Base of what a page says: an object with its name in `say`; unknown fields are refused."""
 
-    slow: ClassVar[bool] = False  # takes seconds: the runner says when it is done, and hears the next one then
+    # Takes seconds: the runner says when it is done, and then hears the next slow one.
+    slow: ClassVar[bool] = False
 
 
 class Stick(PageMessage, frozen=True):
-    """Where the person's stick is; sent 20 times a second and more, for without it the chair stops."""
+    """The person's stick, sent at least 20 times a second; without it the chair stops."""
 
     x: Part
     y: Part
@@ -42,7 +45,7 @@ class Help(PageMessage, frozen=True):
 
 
 class Shown(PageMessage, frozen=True):
-    """The pictures with this number are on the page: it takes newer ones."""
+    """The page shows the pictures with this number and takes newer ones."""
 
     number: Count
 
@@ -79,7 +82,7 @@ class DriveBy(PageMessage, frozen=True):
 
 
 class Pace(PageMessage, frozen=True):
-    """How fast time goes: 1 is real time, 0 as fast as it can."""
+    """How fast time goes: 1 is real time, 0 is as fast as possible."""
 
     times: Speed
 
@@ -121,13 +124,13 @@ class Open(PageMessage, frozen=True):
 
 
 class GoOn(PageMessage, frozen=True):
-    """In a study: the button of this step is pressed; of a drive, that it is to end here."""
+    """In a study: the button of this step is pressed; in a driving part it ends the part."""
 
     step: Count
 
 
 class AnswerAll(PageMessage, frozen=True):
-    """In a study: the answers to this step's questions, in their order, -1 for one that is left out."""
+    """In a study: the answers to this step's questions, in order; -1 is no answer."""
 
     step: Count
     answers: Annotated[list[AnswerNumber], msgspec.Meta(max_length=MOST_QUESTIONS)]
@@ -140,7 +143,7 @@ class Seek(PageMessage, frozen=True):
 
 
 class StepBy(PageMessage, frozen=True):
-    """Of a film: stand still, so many ticks farther on."""
+    """Of a film: stop, and move by this many ticks."""
 
     ticks: Jump
 
@@ -165,7 +168,7 @@ class OpenEpisode(PageMessage, frozen=True):
 
 
 class TakeOver(PageMessage, frozen=True):
-    """This page wants to drive; the one that did looks on from now on."""
+    """This page wants to drive; the page that drove watches from now on."""
 
 
 class Gone(PageMessage, frozen=True):
@@ -181,29 +184,47 @@ class End(PageMessage, frozen=True):
 
 
 _OfDrive = (
-    Stick | Help | Assist | SetLevel | ShapeStick | DriveBy | NewPlace | Again | SetUser | Open | GoOn | AnswerAll
+    Stick
+    | Help
+    | Assist
+    | SetLevel
+    | ShapeStick
+    | DriveBy
+    | NewPlace
+    | Again
+    | SetUser
+    | Open
+    | GoOn
+    | AnswerAll
 )
 _OfFilm = Seek | StepBy | FollowSeat | GoLive | OpenEpisode
 _PAGE: Final = msgspec.json.Decoder(_OfDrive | _OfFilm | Shown | SetView | Pace | Pause | TakeOver)
 
 
 def of_page(data: str | bytes) -> PageMessage:
-    """What a page says. Raises ProtocolError for what is no message, in a line."""
+    """Read what a page says. Raises ProtocolError, in one line, for anything else."""
     if len(data) > MOST_BYTES:
         raise ProtocolError(f"a message has {len(data)} bytes; expected at most {MOST_BYTES}")
     try:
         message: PageMessage = _PAGE.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ProtocolError(
-            f"got a message that this server does not know: {escape(str(error), 200)}; reload the page"
+            f"got a message that this server does not know: {escape(str(error), 200)}; "
+            "reload the page"
         ) from None
     return message
 
 
-def kpis_of(totals: KpiTotals, tick_s: float, *, knows: bool = True, warns: bool = True) -> dict[str, float | None]:
-    """Totals as pages show them; a film may not know what happened, and may be of a policy that never warns.
+def kpis_of(
+    totals: KpiTotals, tick_s: float, *, knows: bool = True, warns: bool = True
+) -> dict[str, float | None]:
+    """Totals as pages show them; None for what is not known.
 
-    What is not known is None.
+    Args:
+        totals: Of the drive or the film.
+        tick_s: Seconds of a tick.
+        knows: False for a film that does not know what happened.
+        warns: False for a film of a policy that never warns.
     """
     named = ("crashes", "drops", "arrivals", "overrules", "interventions")
     return {
@@ -218,15 +239,15 @@ def kpis_of(totals: KpiTotals, tick_s: float, *, knows: bool = True, warns: bool
 
 
 def spoken(say: str, told: Mapping[str, object]) -> bytes:
-    """What a page hears, as JSON: an object whose `say` names the kind of the message.
+    """What a page hears, as JSON: an object with the kind of the message in `say`.
 
     - `notice`: a line for the person, `told`, of a `kind`: good, note, bad or refused.
     - `role`: whether this page `drives`, whether another one has `taken` that, and a line.
     - `keeping`: whether the drive is kept in a `file`, and a line.
     - `study`: the `view` of a step, see `step_view`.
-    - `busy`: the street is not there yet, in a line; with `waits` False nothing is waited for any more.
-    - `about`, `state`: see `_drive_about`, `_drive_state`, and of a film `_film_about`, `_film_state`.
-    - `street`, `way`: what there is to load around the chair, see `StreetFeed`, and its route.
+    - `busy`: a line on why the street is not there yet; with `waits` False the wait is over.
+    - `about`, `state`: see `_drive_about`, `_drive_state`; of a film `_film_about`, `_film_state`.
+    - `street`, `way`: what to load around the chair, see `StreetFeed`, and the chair's route.
     - `marks`: all marks of a film's time line, see `_FilmMark`.
     """
     return msgspec.json.encode({"say": say, **told})

@@ -1,4 +1,4 @@
-"""The process behind a page: it keeps time, hears what the page wants, draws for it, and moves a drive's session."""
+"""The process behind a page: it keeps time, obeys the page, draws for it and drives a session."""
 
 import signal
 import time
@@ -34,10 +34,42 @@ from wcsim.users.profiles import list_profile_names
 from wcsim.view.street_pictures import Moment, moment_of
 from wcsim.view.street_scene import CameraKind, StreetFeed
 
-# What a message to the server is; the last: a slow wish is done.
+# Kinds of messages to the server; `DONE`: a slow message has been done.
 JSON, PICTURES, LINE, FILE, DONE = b"J", b"P", b"L", b"F", b"D"
 Does = dict[type, Callable[[Any], object]]
-"""What is done about a message of the page, by its kind; it may raise WcsimError, of which the page is told."""
+"""What is done with each kind of message; the page is told of a WcsimError that it raises."""
+_CRASH_S: Final = 3.0  # for which a crash is shown
+_IDLE_S: Final = 0.05
+_NEWEST: Final = 0.05  # share of the newest in a mean
+# Messages that are refused while a study runs.
+_SET_BY_STUDY: Final = (
+    m.Assist,
+    m.SetLevel,
+    m.DriveBy,
+    m.Pace,
+    m.NewPlace,
+    m.Again,
+    m.SetUser,
+    m.Open,
+)
+# The state before the first tick of an episode.
+_RESTS: Final = DriveTick(
+    tick=0,
+    episode=0,
+    time_s=0.0,
+    stick=AT_REST,
+    commanded=AT_REST,
+    chosen=AT_REST,
+    p_WB_m=np.zeros(3),
+    yaw_rad=0.0,
+    speed_mps=0.0,
+)
+_NOTICES: Final[dict[str, tuple[str, str]]] = {
+    EventKind.ARRIVED: ("good", "Arrived. A new destination is set."),
+    EventKind.GAVE_UP: ("note", "The simulated user gave up this route. A new destination is set."),
+    EventKind.HELP_END: ("note", "Help is over. The assistance is as before."),
+    EventKind.STEP_LIMIT: ("note", "This episode has reached its time limit. It starts again."),
+}
 
 
 class PageRunner(ABC):
@@ -52,7 +84,7 @@ class PageRunner(ABC):
         self._pipe, self._now_s = pipe, clock
         self._feed: StreetFeed | None = None
         self._streets, self._camera = 0, CameraKind.NOTHING
-        self._ready, self._stale = False, True  # the page takes pictures; those that it has are old
+        self._ready, self._stale = False, True  # the page takes pictures; its pictures are old
         self._over = False
         self._does: Does = {m.SetView: self._view, m.Ready: self._take_ready, m.End: self._end}
 
@@ -67,13 +99,13 @@ class PageRunner(ABC):
                 self.close()
 
     def run_process(self) -> None:
-        """Run as all that a process of its own does."""
+        """Run as the whole work of a process."""
         signal.signal(signal.SIGTERM, self.leave)
         with self._pipe:
             self.run()
 
     def leave(self, *_: object) -> None:
-        """Of SIGTERM: leave at once what takes long; an end that is under way goes on."""
+        """Handle SIGTERM: leave what takes long at once; an end that has begun goes on."""
         if not self._over:
             self._over = True
             raise SystemExit
@@ -92,13 +124,14 @@ class PageRunner(ABC):
 
     @abstractmethod
     def _heard(self) -> None:
-        """The page has said something that may show."""
+        """The page has sent a message that may change what is shown."""
 
     def _hear(self) -> None:
-        """Do all that the page wants by now."""
+        """Handle all messages of the page that have come."""
         while self._pipe.poll():
             message = self._pipe.recv()
-            does = self._does.get(type(message))  # none of a message that pages of the other kind say
+            # None for a message of the other kind of page.
+            does = self._does.get(type(message))
             try:
                 if does is not None:
                     does(message)
@@ -115,7 +148,7 @@ class PageRunner(ABC):
         self._feed = StreetFeed(street, front, self._streets)
 
     def _draw(self, moment: Moment, feed: StreetFeed) -> None:
-        """Send a moment, after what a page needs for it."""
+        """Send a moment, and before it what a page needs to show it."""
         for name, told in feed.news(moment):
             if isinstance(told, bytes):
                 self._pipe.send_bytes(FILE + name.encode() + b"\0" + told)
@@ -143,29 +176,6 @@ class PageRunner(ABC):
         self._over = True
 
 
-_CRASH_S: Final = 3.0  # so long a crash is shown
-_IDLE_S: Final = 0.05
-_NEWEST: Final = 0.05  # share of the newest in a mean
-_SET_BY_STUDY: Final = (m.Assist, m.SetLevel, m.DriveBy, m.Pace, m.NewPlace, m.Again, m.SetUser, m.Open)
-_RESTS: Final = DriveTick(
-    tick=0,
-    episode=0,
-    time_s=0.0,
-    stick=AT_REST,
-    commanded=AT_REST,
-    chosen=AT_REST,
-    p_WB_m=np.zeros(3),
-    yaw_rad=0.0,
-    speed_mps=0.0,
-)  # before the first tick of an episode
-_NOTICES: Final[dict[str, tuple[str, str]]] = {
-    EventKind.ARRIVED: ("good", "Arrived. A new destination is set."),
-    EventKind.GAVE_UP: ("note", "The simulated user gave up this route. A new destination is set."),
-    EventKind.HELP_END: ("note", "Help is over. The assistance is as before."),
-    EventKind.STEP_LIMIT: ("note", "This episode has reached its time limit. It starts again."),
-}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveOrder:
     """What is driven, and whether it is kept."""
@@ -173,10 +183,11 @@ class DriveOrder:
     start: DriveStart
     keep: Path | OpenStudy | None = None  # a new file for the first world that is kept, or a study
 
-    word: ClassVar = "drive"  # for it in messages
+    word: ClassVar = "drive"  # its name in messages
     page: ClassVar = "index.html"  # its file
     begins: ClassVar = "starting the simulator, then the street; the page shows the progress"
-    over: ClassVar = "The drive has ended. Start wcsim drive again."  # said by a page when the process has ended
+    # Shown by pages when the process has ended.
+    over: ClassVar = "The drive has ended. Start wcsim drive again."
 
     def run(self, pipe: Connection) -> None:
         """What the drive's process does."""
@@ -188,9 +199,9 @@ class _DriveClock:
     """Whether time goes, and how fast; when the next tick is due. Seconds."""
 
     paused: bool = False  # somebody stopped it
-    pace: float = 1.0  # times real time, 0 as fast as it can
+    pace: float = 1.0  # times real time; 0 is as fast as possible
     due_s: float = 0.0
-    held_s: float = 0.0  # a crash is shown till then
+    held_s: float = 0.0  # a crash is shown until then
     opened_s: float = 0.0
     ticked_s: float = 0.0  # 0 before the first tick, and after time stood still
     gap_s: float = 0.0  # between ticks, a mean
@@ -206,7 +217,7 @@ class _DriveClock:
         self.held_s, self.ticked_s, self.paused = 0.0, 0.0, False
 
     def ticked(self, now_s: float, tick_s: float) -> None:
-        """A tick of the world's `tick_s` was driven, which began now."""
+        """A tick of `tick_s` in the world has been driven; it began at `now_s`."""
         if self.ticked_s:
             gap_s = now_s - self.ticked_s
             self.gap_s += _NEWEST * (gap_s - self.gap_s) if self.gap_s else gap_s
@@ -220,7 +231,8 @@ class _DriveRunner(PageRunner):
     Args:
         pipe: To the server.
         start: The first drive.
-        keep: The file of the first world that is kept, or a study that leads through several; None to keep nothing.
+        keep: File of the first world that is kept, or a study that leads through several drives;
+            None to keep nothing.
         clock: Monotonic seconds.
     """
 
@@ -246,12 +258,16 @@ class _DriveRunner(PageRunner):
             m.Help: lambda _: self._open_session().ask_for_help(),
             m.Assist: self._assist,
             m.SetLevel: lambda said: self._open_session().set_level(said.level),
-            m.ShapeStick: lambda said: self._open_session().shape_stick(said.speed, said.sensitivity),
+            m.ShapeStick: lambda said: self._open_session().shape_stick(
+                said.speed, said.sensitivity
+            ),
             m.DriveBy: self._drive_by,
             m.Pace: self._set_pace,
             m.Pause: self._pause,
             m.NewPlace: lambda _: self._begin_anew(self._open_session().new_place),
-            m.Again: lambda _: self._begin_anew(self._open_session().again, "Restarting the street ..."),
+            m.Again: lambda _: self._begin_anew(
+                self._open_session().again, "Restarting the street ..."
+            ),
             m.SetUser: self._set_user,
             m.Open: self._open_other,
             m.GoOn: lambda said: self._leads().go_on(said.step),
@@ -261,7 +277,7 @@ class _DriveRunner(PageRunner):
         self._does |= does
 
     def close(self) -> None:
-        """End the drive, and say what it was."""
+        """End the drive, and log its place, length, arrivals and crashes."""
         if self.session is not None:
             session, self.session = self.session, None
             metrics = session.metrics
@@ -275,7 +291,7 @@ class _DriveRunner(PageRunner):
 
     @property
     def waiting(self) -> str:
-        """Why time stands still though nobody paused it, "" while it goes."""
+        """Why time stands still though nobody paused it; "" while it goes."""
         now_s = self._now_s()
         if not self._stands_still(now_s) or now_s - self.clock.opened_s <= STANDS_STILL_S:
             return ""
@@ -286,12 +302,14 @@ class _DriveRunner(PageRunner):
     # --- one turn of the loop ---
 
     def _turn(self) -> None:
-        self._pipe.poll(self._wait_s())  # once: a page says its stick more often than that, and what follows is due
+        # Wait only once: the page sends its stick more often, and what follows must not be late.
+        self._pipe.poll(self._wait_s())
         self._hear()
         if self._lead is not None:
             self._lead.wait()
         now_s = self._now_s()
-        if self._unseen and self._ready:  # the street is seen before its first tick, which may have kernels to compile
+        if self._unseen and self._ready:
+            # Show the street before its first tick, which may have to compile kernels.
             self._show()
         if not self._goes():
             self.clock.ticked_s = 0.0
@@ -299,15 +317,16 @@ class _DriveRunner(PageRunner):
             self._tick(now_s)
         if self._ready and self._stale:
             self._show()
-        if self.waiting != self._told_waiting:  # also where no tick says it
-            self._state()
+        if self.waiting != self._told_waiting:
+            self._state()  # also when no tick sends it
 
     def _goes(self) -> bool:
-        led = self._lead is None or self._lead.drives
-        return self.session is not None and led and not self._stands_still(self._now_s()) and not self.clock.paused
+        if self.session is None or self.clock.paused or self._stands_still(self._now_s()):
+            return False
+        return self._lead is None or self._lead.drives
 
     def _stands_still(self, now_s: float) -> bool:
-        """Whether time stops because nobody is there; a simulated user drives also for a page that was left."""
+        """Whether time stops as nobody is there; a simulated user drives on for a left page."""
         by_person = self.session is None or self.session.driver is DriverKind.PERSON
         return self._watch.stands_still(now_s, by_person=by_person)
 
@@ -329,8 +348,9 @@ class _DriveRunner(PageRunner):
             self.clock.held_s, self.clock.ticked_s = now_s + _CRASH_S, 0.0
         if session.ended:
             self._watch.require_rest()
+        # A failed policy stops time once: a person who then goes on knows of it.
         failed = bool(session.assistance.failed)
-        self.clock.paused = self.clock.paused or (failed and not self._told_failure)  # once: who goes on knows of it
+        self.clock.paused = self.clock.paused or (failed and not self._told_failure)
         self._told_failure = failed
         self._stale = True
         self._state()
@@ -342,7 +362,9 @@ class _DriveRunner(PageRunner):
         if session is None or feed is None:
             return
         jumped, self._drawn_episode = session.episode != self._drawn_episode, session.episode
-        moment = moment_of(session.world, session.client, session.route, session.done_m, jumped=jumped)
+        moment = moment_of(
+            session.world, session.client, session.route, session.done_m, jumped=jumped
+        )
         self._draw(moment, feed)
         self._unseen = False
 
@@ -376,7 +398,7 @@ class _DriveRunner(PageRunner):
         self._watch.hear(Joystick(said.x, said.y), said.overrule, self._now_s(), away=said.away)
 
     def _assist(self, said: m.Assist) -> None:
-        """Time stops where it breaks again at once, as at its first breaking."""
+        """Switch the assistance. Time stops if it fails again at once, as at its first failure."""
         session = self._open_session()
         session.assist(said.on)
         self._told_failure = bool(session.assistance.failed)
@@ -410,7 +432,8 @@ class _DriveRunner(PageRunner):
         try:
             begin()
         finally:
-            if told and self.session is not None:  # nothing is waited for any more, also where it was refused
+            # This ends the wait of pages, also if it was refused.
+            if told and self.session is not None:
                 self._say("about", **_drive_about(self.session))
         self._watch.require_rest()
         self.clock.held_s = self.clock.ticked_s = 0.0
@@ -421,7 +444,8 @@ class _DriveRunner(PageRunner):
         start = replace(
             before,
             town=said.town or before.town,
-            profile="" if said.suite else profile or DriveStart().profile,  # a suite's own user may be a file of it
+            # The user of a suite's episode may be a file of the suite.
+            profile="" if said.suite else profile or DriveStart().profile,
             seed=said.seed,
             suite=said.suite,
             block=said.block,
@@ -430,18 +454,20 @@ class _DriveRunner(PageRunner):
         self._open(checked(check_offered(start, self._start)))
 
     def _open(self, start: DriveStart) -> None:
-        """Open a place in the stead of the one that is open; one that cannot be opened is told of."""
+        """Open a place instead of the open one; the page is told if that fails."""
         try:
             self._open_place(start)
         except WcsimError as error:
             self.close()
             self._say("notice", kind="bad", told=str(error))
-            self._say("busy", told=str(error), waits=False)  # for pages that come later: nothing is waited for
+            # For pages that come later: there is nothing to wait for.
+            self._say("busy", told=str(error), waits=False)
 
     def _open_place(self, start: DriveStart) -> DriveSession:
-        """The same; raises what `DriveSession` does, and then something may be open that is to be closed."""
+        """Open a place. Raises as `DriveSession`; then call `close`, as something may be open."""
         self._busy("Opening the street ...")
-        if self.session is not None:  # the stick stays as it was set
+        if self.session is not None:
+            # The stick keeps its shape.
             speed, sensitivity = self.session.shape
             start = replace(start, speed=speed, sensitivity=sensitivity)
         self.close()
@@ -467,7 +493,11 @@ class _DriveRunner(PageRunner):
             self._open(self._start)
             return
         hands = StudyHands(
-            open=self._open_part, close=self.close, show=self._show_study, say=self._log, clock=self._now_s
+            open=self._open_part,
+            close=self.close,
+            show=self._show_study,
+            say=self._log,
+            clock=self._now_s,
         )
         try:
             self._lead = StudyLead(self._study, hands)
@@ -499,14 +529,17 @@ class _DriveRunner(PageRunner):
 
 
 def _refuse_in_study(_: m.PageMessage) -> None:
-    """What a study sets, nobody changes."""
+    """Refuse a message that would change what the study sets."""
     raise WcsimError("the study sets this; it cannot be changed while the study runs")
 
 
 def _drive_about(session: DriveSession) -> dict[str, Any]:
-    """What is driven, and what else could be; said when a place has been opened, and to each page that comes."""
+    """What is driven, and what else can be; sent when a place is opened, and to each new page."""
     suites = {
-        name: [(f"{block.part}, {block.town}", len(block.episodes)) for block in open_suite(name).file.blocks]
+        name: [
+            (f"{block.part}, {block.town}", len(block.episodes))
+            for block in open_suite(name).file.blocks
+        ]
         for name in list_shipped_suites()
     }
     assistance = session.assistance
@@ -520,24 +553,26 @@ def _drive_about(session: DriveSession) -> dict[str, Any]:
         "towns": [town.name for town in list_towns()],
         "profiles": list_profile_names(),
         "suites": suites,  # by set: part and town of each block, and its seats
-        "levels": assistance.levels,  # that which assists least, and most; None for a policy without
+        "levels": assistance.levels,  # that assist least and most; None for a policy without levels
         "own_level": assistance.own_level,
         "tells_unsafe": assistance.tells_unsafe,
         "tick_s": session.tick_s,
     }
 
 
-def _drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go: bool) -> dict[str, Any]:
-    """The drive as it is, once a tick. All rests at the beginning of an episode."""
+def _drive_state(
+    session: DriveSession, clock: _DriveClock, waiting: str, let_go: bool
+) -> dict[str, Any]:
+    """The state of the drive, once a tick. At the beginning of an episode all is at rest."""
     last = session.last or _RESTS
     return {
         "tick": session.ticks,
         "time_s": round(session.time_s, 3),
         "driver": session.driver,
         "paused": clock.paused,
-        "waiting": waiting,  # why nobody drives, "" while somebody does
+        "waiting": waiting,  # why nobody drives; "" while somebody does
         "let_go": let_go,  # the stick counts only once it has been at rest
-        "alone": not session.handed_over,  # the simulated user still has the chair, before a handover
+        "alone": not session.handed_over,  # the simulated user drives alone, before a handover
         "pace": clock.pace,
         "stick": xy_of(last.stick),
         "commanded": xy_of(last.commanded),
@@ -545,23 +580,25 @@ def _drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go
         "assisted": session.assistance.on,
         "level": session.assistance.level,
         "shape": session.shape,
-        "help_s": round(session.help_left_s, 3),  # for which help is still on, 0 while it is not
+        "help_s": round(session.help_left_s, 3),  # for which help is still on; 0 while it is not
         "warning": last.warning,
         "intervening": last.intervening,
         "overruled": last.overruled,
         "on_road": session.client.events.on_carriageway,  # the chair's middle, also on a crossing
         "speed_mps": round(last.speed_mps, 3),
         "left_m": round(session.left_m, 1),
-        "bearing_deg": round(rad2deg(session.bearing_rad)),  # of the way ahead, from the chair's heading to the left
+        # Of the way ahead, to the left of the chair's heading.
+        "bearing_deg": round(rad2deg(session.bearing_rad)),
         "crash": session.crash,
         "profile": session.profile,
         "kpis": m.kpis_of(session.metrics, session.tick_s),
-        "real": round(session.tick_s / clock.gap_s, 2) if clock.gap_s > 0.0 else 1.0,  # times real time, a mean
+        # Times real time, a mean.
+        "real": round(session.tick_s / clock.gap_s, 2) if clock.gap_s > 0.0 else 1.0,
     }
 
 
 def _notice_of(record: DriveRecord) -> tuple[str, str] | None:
-    """Kind and words of what a person wants to hear of a record; the state says the ticks, and a crash."""
+    """Kind and words of a record for the person; None for ticks and crashes: the state has them."""
     if not isinstance(record, Note):
         return None
     if record.detail == ELSEWHERE:

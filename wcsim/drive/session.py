@@ -1,4 +1,4 @@
-"""One drive: a world with one chair, a person or a simulated user in it, a policy beside it. No sockets, no clock."""
+"""One drive: a world, a chair with a person or a simulated user, a policy. No sockets, no clock."""
 
 import math
 from collections import deque
@@ -26,11 +26,11 @@ from wcsim.types.chair import AT_REST
 from wcsim.users.hand import clip_stick_to_gate
 from wcsim.users.recordings.recorded_user import find_user
 
-_NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person: known at the ticks' beginnings alone
-_FACES_RAD: Final = math.radians(45.0)  # a way within this to either side is one that a start faces
+_NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person, known only when a tick begins
+_FACES_RAD: Final = math.radians(45.0)  # a start faces a way that is within this to either side
 _START_TRIES: Final = 6
 _BACK_M: Final = 5.0  # from a crash to where the next episode begins
-_NEAR: Final = 20  # points of the way, a metre from each other, at which a start may be that is to face it
+_NEAR: Final = 20  # points of the way, 1 m apart, at which a start that faces it may be
 _TRAIL_M: Final = 0.5  # between places of the trail
 _MOST_TRAIL: Final = 200
 ELSEWHERE: Final = "elsewhere, as no place before the crash is free"
@@ -47,11 +47,15 @@ class Wish:
 
 
 class DriveSession(ClosingContextBase):
-    """A drive, tick by tick; its observers hear of each tick and of what happens.
+    """A drive, tick by tick; its observers get each tick and each event.
 
     Args:
         start: What to drive.
-        observers: Who looks on; they are closed with the session.
+        observers: They are closed with the session.
+        say: Hears how far `load_street` is.
+
+    Raises:
+        ConfigError, TownError, PolicyError: As `starting.open_place`.
     """
 
     def __init__(
@@ -60,22 +64,25 @@ class DriveSession(ClosingContextBase):
         observers: Sequence[DriveObserver] = (),
         say: Callable[[str], object] | None = None,
     ) -> None:
-        """Open the town and the policy; `say` is for `load_street`. Raises what `starting.open_place` does."""
         self.metrics, self.driver = KpiTotals(), DriverKind.PERSON
         self._observers = tuple(observers)
-        self.ticks = self.episode = 0  # how many there were; number of the one that is on, or ended with the last tick
-        self.client: ClientSnapshot  # the chair as it is now; after a crash as it came to lie, till the next tick
-        self.route: Route  # to the destination; after a crash that of the episode which it ended, till the next tick
+        # Ticks so far; number of the episode that is on, or that ended with the last tick.
+        self.ticks = self.episode = 0
+        # The chair now, and the route to its destination; after a crash those at the crash, until
+        # the next tick.
+        self.client: ClientSnapshot
+        self.route: Route
         self.done_m = 0.0  # along the route
         self._help = False  # asked for since the last tick
         self.last: DriveTick | None = None  # of this episode
-        self.unsafe: tuple[int, ...] = ()  # actions that the policy held for unsafe then; empty where it does not say
+        # Actions that the policy called unsafe in the last tick; empty if it does not say.
+        self.unsafe: tuple[int, ...] = ()
         self.shape = (start.speed, start.sensitivity)  # of the person's stick
         self._said = (False, False, False)  # warning, intervening, overruled, of the tick before
-        self._seen: Mapping[str, Any] = {}  # the observation of now, and its info
+        self._seen: Mapping[str, Any] = {}  # the current observation, and its info
         self._info: dict[str, Any] = {}
         self._step, self._fresh, self._ended = 0, True, False  # of this episode
-        self._failure = ""  # of the policy, as far as it has been told
+        self._failure = ""  # of the policy, that was reported
         with ExitStack() as held:
             self.place: OpenPlace = open_place(start, held)
             spec, config = self.place.spec, self.place.config
@@ -84,7 +91,14 @@ class DriveSession(ClosingContextBase):
             self.assistance = Assistance(self.place.policy, self.actions, config.world.help_ticks)
             held.callback(self.assistance.close)
             self.world = held.enter_context(
-                World(self.place.town, config, (spec,), self.place.seed, report=say, find_user=find_user)
+                World(
+                    self.place.town,
+                    config,
+                    (spec,),
+                    self.place.seed,
+                    report=say,
+                    find_user=find_user,
+                )
             )
             self._chair = SeatEnvAdapter(config)
             self._begin()
@@ -99,27 +113,27 @@ class DriveSession(ClosingContextBase):
 
     @property
     def way_m(self) -> float:
-        """How far the chair was driven, as far as that is judged."""
+        """Metres that the chair was driven, of the time that is judged."""
         return self.metrics.speed_sum * self.tick_s
 
     @property
     def counted_s(self) -> float:
-        """Seconds of driving that are judged: as in the suite, none before a handover, when the user drives alone."""
+        """Seconds of driving that are judged; as in the suite, none before a handover."""
         return self.metrics.ticks * self.tick_s
 
     @property
     def left_m(self) -> float:
-        """How far it is to the destination along the route."""
+        """Metres to the destination along the route."""
         return max(0.0, float(self.route.arc_m[-1]) - self.done_m)
 
     @property
     def bearing_rad(self) -> float:
-        """Where the way goes on, from the chair's heading to the left; 0 straight ahead."""
+        """Where the way goes on, to the left of the chair's heading; 0 is straight ahead."""
         return bearing_rad(self.route, self.done_m, self.client.plant)
 
     @property
     def crash(self) -> str:
-        """What the last tick crashed into, in words, without the place; "" where it did not."""
+        """What the last tick crashed into, in words, without the place; "" without a crash."""
         return self.client.events.crash.partition(", at x ")[0] if self._ended else ""
 
     @property
@@ -129,7 +143,7 @@ class DriveSession(ClosingContextBase):
 
     @property
     def handed_over(self) -> bool:
-        """Whether the person has the chair by now: in some episodes of suites the user drives alone at first."""
+        """Whether the person has the chair; in some suite episodes the user first drives alone."""
         return self._step >= self.place.handover_step
 
     def add_observer(self, observer: DriveObserver) -> None:
@@ -143,7 +157,7 @@ class DriveSession(ClosingContextBase):
             self.say(EventKind.DRIVER, driver.value)
 
     def assist(self, on: bool) -> None:
-        """Switch the assistance; one that broke is tried again, and told of again where it breaks again."""
+        """Switch the assistance. A policy that broke is tried again; a new failure is said."""
         if on is not self.assistance.on:
             self._failure = ""
             self.assistance.switch(on)
@@ -157,9 +171,10 @@ class DriveSession(ClosingContextBase):
         return self.assistance.help_left * self.tick_s
 
     def ask_for_help(self, raises: bool = True) -> None:
-        """The user asks for help: once a tick, and it counts at once, as no tick may follow; the next says so too.
+        """The user asks for help, which counts once a tick.
 
-        With `raises` the assistance helps, if the user does not drive alone before a handover.
+        It counts at once, as no tick may follow; the next tick says so too. With `raises` the
+        assistance helps, if the user does not drive alone before a handover.
         """
         if self._help:
             return
@@ -168,7 +183,9 @@ class DriveSession(ClosingContextBase):
         if raises and self.handed_over:
             self.assistance.ask_for_help()
         deed = "assists the most" if self.assistance.levels else "drives the chair half as fast"
-        more = f" For {self.help_left_s:g} s the policy {deed}." if self.assistance.help_left else ""
+        more = (
+            f" For {self.help_left_s:g} s the policy {deed}." if self.assistance.help_left else ""
+        )
         self.say(EventKind.HELP, f"The user asks for help.{more}")
         self._say_failure()
 
@@ -184,23 +201,27 @@ class DriveSession(ClosingContextBase):
 
     @property
     def shape_told(self) -> str:
-        """How it is shaped, in words."""
+        """The shape of the stick, in words."""
         speed, sensitivity = self.shape
         return f"speed {speed:g}, sensitivity {sensitivity:g}"
 
     def face_way(self) -> None:
-        """Let the chair face its way before the first tick, as it does at the beginning of every later episode."""
+        """Turn the chair to its way before the first tick, as in every later episode."""
         self._face_way()
         self.assistance.reset(self.client.drawn)
 
     def new_place(self) -> None:
-        """Begin another episode in the same street; where the start is fixed, at that."""
+        """Begin another episode in the same street, at the same start if that is fixed."""
         if not self._ended:
             self._respawn()
         self._next("asked for")
 
     def change_user(self, profile: str) -> None:
-        """Put another simulated user into the chair, in an episode of its own. Raises ConfigError for no such user."""
+        """Put another simulated user into the chair, which begins an episode.
+
+        Raises:
+            ConfigError: There is no such user.
+        """
         spec = replace(self.place.spec, profile=profile)
         self.world.dismiss(0)
         try:
@@ -216,7 +237,7 @@ class DriveSession(ClosingContextBase):
         self._next(f"user {profile}")
 
     def again(self) -> None:
-        """Begin the whole street again from its seed."""
+        """Build the whole street again from its seed."""
         self.world.rebuild(self.place.seed)
         self.say(EventKind.REBUILT)
         self._next("from the beginning")
@@ -228,16 +249,30 @@ class DriveSession(ClosingContextBase):
             SumoError, PhysicsError: The world is broken, and the drive with it.
         """
         if self._ended:
-            self._next(self._go_back() if self.client.events.crashed else "after the end of the last one")
+            crashed = self.client.events.crashed
+            self._next(self._go_back() if crashed else "after the end of the last one")
         by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
-        self._hear_help(wish.help, by_user)
-        stick = self.client.user if by_user else self._as_set(clip_stick_to_gate(wish.stick))  # nobody sees the raw one
+        if wish.help:
+            self.ask_for_help()
+        elif by_user and self.client.events.help_asked:
+            self.ask_for_help(raises=self.place.config.world.help_users)
+        if by_user:
+            stick = self.client.user
+        else:
+            # As a chair's controller shapes it: slower, and softer or sharper about its middle.
+            gated = clip_stick_to_gate(wish.stick)  # nobody sees the raw one
+            speed, sensitivity = self.shape
+            x, y = shape_joystick(gated.x, gated.y, 0.0, 1.0 / sensitivity)
+            stick = Joystick(speed * x, speed * y)
         self._see(stick)
         overrule = wish.overrule and self.handed_over
-        answer = self.assistance.answer(self._seen, self._info, asked=self.handed_over and not overrule)
+        answer = self.assistance.answer(
+            self._seen, self._info, asked=self.handed_over and not overrule
+        )
         if self.assistance.failed and not self.assistance.on and answer.sent == answer.chosen:
             self._say_failure()
-        user, intent = self.world.seats[0].user, self.world.seats[0].user.intent if by_user else None
+        user = self.world.seats[0].user
+        intent = user.intent if by_user else None
         user.patient = not by_user
         self._move(answer)
         sticks = user.sticks if by_user else _NO_STICKS
@@ -268,9 +303,8 @@ class DriveSession(ClosingContextBase):
         return driven
 
     def say(self, kind: EventKind, told: str = "") -> None:
-        """Write an event into the log of whoever looks on."""
-        event = Note(kind=kind, tick=self.ticks, time_s=self.time_s, detail=told)
-        self._send(event)
+        """Send an event to the observers."""
+        self._send(Note(kind=kind, tick=self.ticks, time_s=self.time_s, detail=told))
 
     def close(self) -> None:
         """End the world, and close the observers; a second call does nothing."""
@@ -283,14 +317,8 @@ class DriveSession(ClosingContextBase):
 
     # --- one tick ---
 
-    def _as_set(self, stick: Joystick) -> Joystick:
-        """The person's stick as a chair's controller shapes it: slower, and softer or sharper about its middle."""
-        speed, sensitivity = self.shape
-        x, y = shape_joystick(stick.x, stick.y, 0.0, 1.0 / sensitivity)
-        return Joystick(speed * x, speed * y)
-
     def _see(self, stick: Joystick) -> None:
-        """Look at the chair's frame of now with this stick in it; the step before is judged by it."""
+        """Look at the chair's current frame with this stick, which also judges the last step."""
         client = replace(self.client, user=stick)
         if self._fresh:
             seen, self._info = self._chair.begin(client)
@@ -306,12 +334,16 @@ class DriveSession(ClosingContextBase):
         self._ended = self.client.first is not None
         if not self._ended:
             self._note_way()
-            self._note_trail()
+            # The trail is where the chair was in this episode, without carriageways.
+            here = _xy(self.client.plant.p_WB_m)
+            moved = math.dist(here, self._trail[-1]) >= _TRAIL_M
+            if moved and not self.client.events.on_carriageway:
+                self._trail.append(here)
         self.ticks += 1
         self._step += 1
 
     def _tell(self, driven: DriveTick, distance: float) -> None:
-        """Count the tick, and tell who looks on what happened in it; `distance` is between stick and command."""
+        """Count the tick and send its events; `distance` is between stick and command."""
         if self._step > self.place.handover_step:
             happened = happened_in(driven) - {"helps"}  # a request for help counts when it is heard
             self.metrics = self.metrics.plus(happened, distance, driven.speed_mps)
@@ -339,13 +371,6 @@ class DriveSession(ClosingContextBase):
         for observer in self._observers:
             observer(record)
 
-    def _hear_help(self, wished: bool, by_user: bool) -> None:
-        """Hear a request in the wish, or of the simulated user while it drives."""
-        if wished:
-            self.ask_for_help()
-        elif by_user and self.client.events.help_asked:
-            self.ask_for_help(raises=self.place.config.world.help_users)
-
     def _say_failure(self) -> None:
         if self.assistance.failed != self._failure:
             self._failure = self.assistance.failed
@@ -367,19 +392,13 @@ class DriveSession(ClosingContextBase):
         seat = self.world.seats[0]
         self.route, self.done_m = seat.route, seat.user.route_progress_m
 
-    def _note_trail(self) -> None:
-        """Where the chair has been in this episode, but for carriageways."""
-        here = _xy(self.client.plant.p_WB_m)
-        if not self.client.events.on_carriageway and math.dist(here, self._trail[-1]) >= _TRAIL_M:
-            self._trail.append(here)
-
     def _respawn(self, start: StartSpec | None = None) -> None:
-        """Begin the world's next episode, which a recording then does too."""
+        """Begin the world's next episode, and let recordings know."""
         self.world.respawn(0, start=start)
         self._send(Respawned(epoch=0, tick=self.ticks, seat=0, start=start))
 
     def _face_way(self) -> None:
-        """Turn the chair to its way, here or a little along it, elsewhere if need be; a fixed start stays."""
+        """Turn the chair to its way, here, nearby or elsewhere; a fixed start stays."""
         for _ in range(0 if self.place.spec.start else _START_TRIES):
             if abs(self.bearing_rad) < _FACES_RAD:
                 return
@@ -388,12 +407,14 @@ class DriveSession(ClosingContextBase):
             self._begin()
 
     def _go_back(self) -> str:
-        """After a crash: to where the chair was some metres before, on its way to the same destination; the words."""
+        """Go back some metres after a crash, to the same destination; returns where, in words."""
         if self.place.spec.start:
             return "at its start"
         crash = _xy(self.client.plant.p_WB_m)
         before = [xy for xy in reversed(self._trail) if math.dist(xy, crash) >= _BACK_M]
-        start = self.world.start_facing(0, [*before, self._trail[0]], _xy(self.route.points_W_m[-1]))
+        start = self.world.start_facing(
+            0, [*before, self._trail[0]], _xy(self.route.points_W_m[-1])
+        )
         if start is None:
             return ELSEWHERE
         self._respawn(start)

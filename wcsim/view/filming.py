@@ -1,4 +1,4 @@
-"""Films: a chair drives in a town for the camera, or moments of a recorded episode are shown again."""
+"""Films: a chair drives in a town for the camera, or a recorded episode is shown again."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -18,7 +18,15 @@ from wcsim.agents.opening.named_policy import (
     open_named_policy,
     resolve_policy_config,
 )
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, STATE_SENSE, Observation, Policy, Warns, calling
+from wcsim.agents.policy_api import (
+    CLASS_KEY,
+    DEPTH_KEY,
+    STATE_SENSE,
+    Observation,
+    Policy,
+    Warns,
+    calling,
+)
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CameraConfig, RunConfig, WorldConfig, resolve
@@ -44,7 +52,7 @@ _FILM_PX: Final = 480
 
 
 def seen_picture(seen: Observation, config: RunConfig) -> U8:
-    """What an observation shows, (2 H, W, 3): the newest classes above, their depth below; black without pictures."""
+    """An observation, (2 H, W, 3): newest classes above, depth below; black without pictures."""
     camera = config.eye
     range_m = camera.range_m
     if STATE_SENSE in seen:
@@ -60,14 +68,16 @@ def seen_picture(seen: Observation, config: RunConfig) -> U8:
 
 
 def around_picture(view: MapView, step: PlayedStep, trail: Sequence[PlayedStep]) -> U8:
-    """The street around a chair at a step, with those near it; where it came from is a green line."""
+    """The street around a chair at a step, with those near; a green line is where it was."""
     points = np.array([item.p_W_m[:2] for item in trail], np.float64).reshape(-1, 2)
-    come = Route(points_W_m=points, arc_m=np.zeros(len(points)), edge_index=np.zeros(len(points), np.int32))
+    come = Route(
+        points_W_m=points, arc_m=np.zeros(len(points)), edge_index=np.zeros(len(points), np.int32)
+    )
     return view.draw(step.p_W_m, step.actors, step.chairs, come)
 
 
 def film_steps(path: Path, view: MapView, steps: Sequence[PlayedStep], config: RunConfig) -> None:
-    """A video of what was seen beside the street around, with sticks and speed. Raises ConfigError."""
+    """A video of observations beside the street, with sticks and speed. Raises ConfigError."""
     with open_video(path, config.world.tick_s) as write:
         for number, step in enumerate(steps):
             seen = seen_picture(step.seen, config)
@@ -88,15 +98,22 @@ def sticks(step: PlayedStep) -> tuple[str, str]:
 
 def near(step: PlayedStep) -> list[str]:
     """Who was there at a step and how far from the chair, nearest first."""
-    gaps = sorted((float(np.hypot(*(actor.p_W_m - step.p_W_m)[:2])), actor.kind.value) for actor in step.actors)
+    gaps = sorted(
+        (float(np.hypot(*(actor.p_W_m - step.p_W_m)[:2])), actor.kind.value)
+        for actor in step.actors
+    )
     return [f"{kind} {gap_m:.1f} m" for gap_m, kind in gaps]
 
 
-_ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= ClassId.BICYCLE], np.uint8)
+_ACTOR_CLASSES = np.array(
+    [c.value for c in ClassId if ClassId.PERSON <= c <= ClassId.BICYCLE], np.uint8
+)
 _FIELD_OF_VIEW_M = 30.0
 _NEAR_M, _ALL = 15.0, 4.0  # of what makes a picture telling
 _MAP_SPAN_M: Final = 60.0
-SIGHT_M = 200.0  # of pictures for people: a street ends in the distance, not where a sensor's range does
+SIGHT_M = (
+    200.0  # of pictures for people: a street ends in the distance, not where a sensor's range does
+)
 _FILM_CAMERA: Final = "film"  # beside those of the policy, which sees nothing of it
 _PAD_SHARE: Final = 0.28  # of the picture's height
 _RIM = (150, 156, 164)
@@ -110,7 +127,9 @@ class FilmDriver:
     policy: str = ""  # as `wcsim test` names it; "" for the user alone
     profile: str = "competent"  # of the user, whose stick the policy sees
     network: str = ""  # a custom one, module:Class, that the policy may look with
-    settings: tuple[str, ...] = ()  # section.key=value, laid over the policy's own, or over the usual ones
+    settings: tuple[
+        str, ...
+    ] = ()  # section.key=value, laid over the policy's own, or over the usual ones
 
 
 _ALONE: Final = FilmDriver()
@@ -126,7 +145,7 @@ class Shot:
 
 
 class FilmedDrive:
-    """A world with one chair, made to be looked at, and filmed where a video is asked for; a context manager.
+    """A world with one chair to look at, filmed if a video is asked for; a context manager.
 
     Args:
         town: Where.
@@ -137,7 +156,12 @@ class FilmedDrive:
     """
 
     def __init__(
-        self, town: Town, seed: int, width: int, driver: FilmDriver = _ALONE, video: Path | None = None
+        self,
+        town: Town,
+        seed: int,
+        width: int,
+        driver: FilmDriver = _ALONE,
+        video: Path | None = None,
     ) -> None:
         """Raises PolicyError, TownError, or ConfigError for what cannot be."""
         if not 64 <= width <= 1920:
@@ -151,14 +175,20 @@ class FilmedDrive:
         with ExitStack() as held:
             self.world = held.enter_context(World(town, config, (spec,), seed, find_user=find_user))
             if self._policy is not None:
-                agent = _OwnCode(self._policy, action_set(config.env.actions), config.world.users_help_ticks)
+                agent = _OwnCode(
+                    self._policy, action_set(config.env.actions), config.world.users_help_ticks
+                )
                 self._driver = AgentSeatDriver(config, agent, self.world.snapshot.clients[0])
-            self._steps = rollout(self.world, {} if self._driver is None else {0: self._driver.choose})
+            self._steps = rollout(
+                self.world, {} if self._driver is None else {0: self._driver.choose}
+            )
             if video is not None:  # last: what failed before leaves no file
                 try:
                     video.parent.mkdir(parents=True, exist_ok=True)
                 except OSError as error:
-                    told = f"{video.parent}: cannot be made ({error.strerror}); choose another place"
+                    told = (
+                        f"{video.parent}: cannot be made ({error.strerror}); choose another place"
+                    )
                     raise ConfigError(told) from None
                 self._write = held.enter_context(street_video(video, self.world, _MAP_SPAN_M))
             self._held = held.pop_all()
@@ -182,11 +212,16 @@ class FilmedDrive:
             told = self._info[OBJECTS]
             crash = "   CRASH" if told.events.crashed else ""
             picture = captioned(self._colours(), f"{policy.name}   {caption}{crash}")
-            with_sticks(picture, told.asked, told.given, warning=isinstance(policy, Warns) and policy.warning)
+            with_sticks(
+                picture,
+                told.asked,
+                told.given,
+                warning=isinstance(policy, Warns) and policy.warning,
+            )
         return self._write(picture)
 
     def shot(self, after_s: float) -> Shot:
-        """What the camera sees now, so long after the beginning; below it others that draw colours in its size."""
+        """The camera's picture `after_s`; below it those of others with colours in its size."""
         size = self._colours().shape
         rows = [
             _triptych(each.rgb, each.class_id, each.depth_m)
@@ -200,7 +235,7 @@ class FilmedDrive:
         )
 
     def business(self) -> float:
-        """How much of a street is in the picture now: of a road, a kerb, a crossing and somebody, all of them near.
+        """How much of a street is near in the picture: of a road, kerb, crossing and somebody.
 
         A whole number for each of the four; the rest says how large the people and vehicles are.
         """
@@ -209,8 +244,15 @@ class FilmedDrive:
         somebody = np.isin(seen, _ACTOR_CLASSES) & near
         road, paved = np.isin(seen, (ClassId.ROAD, ClassId.CROSSWALK)), seen == ClassId.SIDEWALK
         kerb = near & np.isin(seen, (ClassId.KERB, ClassId.LOWERED_KERB))
-        kerb[1:] |= near[1:] & ((road[:-1] & paved[1:]) | (paved[:-1] & road[1:]))  # from above its face is hidden
-        there = ((road & near, 0.02), (kerb, 0.0005), ((seen == ClassId.CROSSWALK) & near, 0.003), (somebody, 0.002))
+        kerb[1:] |= near[1:] & (
+            (road[:-1] & paved[1:]) | (paved[:-1] & road[1:])
+        )  # from above its face is hidden
+        there = (
+            (road & near, 0.02),
+            (kerb, 0.0005),
+            ((seen == ClassId.CROSSWALK) & near, 0.003),
+            (somebody, 0.002),
+        )
         pixels = [np.count_nonzero(where) / seen.size for where, _ in there]
         kinds = sum(share >= least for share, (_, least) in zip(pixels, there, strict=True))
         return kinds + min(0.9, 10.0 * pixels[-1])
@@ -231,7 +273,7 @@ class FilmedDrive:
         return rgb
 
     def _in_view(self, snapshot: Snapshot) -> int:
-        """Actors within reach, inside the camera's horizontal field of view, and not behind something nearer."""
+        """Actors within reach, in the camera's horizontal field of view, behind nothing nearer."""
         plant = snapshot.clients[0].plant
         frame = self._frame()
         half = np.tan(deg2rad(self.camera.hfov_deg) / 2)
@@ -245,13 +287,15 @@ class FilmedDrive:
                 continue
             column = int((0.5 + 0.5 * aside / (half * along)) * (frame.class_id.shape[1] - 1))
             stripe = slice(max(0, column - 2), column + 3)
-            seen = np.isin(frame.class_id[:, stripe], _ACTOR_CLASSES) & (frame.depth_m[:, stripe] > along - 4.0)
+            seen = np.isin(frame.class_id[:, stripe], _ACTOR_CLASSES) & (
+                frame.depth_m[:, stripe] > along - 4.0
+            )
             count += bool(seen.any())
         return count
 
 
 def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatSpec, Policy | None]:
-    """The world's settings; who sits in it; the policy, if any: then the film has a camera of its own, the last."""
+    """The world's settings, its user, its policy if any; then the film's camera is the last."""
     camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
     if not driver.policy:
         config = RunConfig(cameras=(camera,), world=WorldConfig(mirror_radius_m=SIGHT_M))
@@ -260,11 +304,15 @@ def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatS
     film = camera.model_copy(update={"name": _FILM_CAMERA})
     own = own.model_copy(update={"cameras": (*own.cameras, film)})
     policy = open_named_policy(driver.policy, own, seed, driver.network or None)
-    return resolve(own, list_policy_overrides(own, policy)), make_policy_seat_spec(policy, driver.profile), policy
+    return (
+        resolve(own, list_policy_overrides(own, policy)),
+        make_policy_seat_spec(policy, driver.profile),
+        policy,
+    )
 
 
 class BusiestMoment:
-    """Keeps, while a drive goes on, the moment when most of a street was in the picture, see `business`."""
+    """Keeps the moment of a drive when most of a street was in the picture, see `business`."""
 
     def __init__(self, filmed: FilmedDrive, fits: bool = True) -> None:
         """Begins with now, which stays if nothing better comes; see `look`."""
@@ -277,11 +325,11 @@ class BusiestMoment:
         return self._best >= (True, _ALL)
 
     def look(self, after_s: float, fits: bool = True) -> bool:
-        """Take this moment instead, if there is more in it, or if it is the first that fits; whether it was taken.
+        """Keep this moment if it has more, or is the first that fits; whether it was kept.
 
         Args:
             after_s: Since the beginning.
-            fits: Whether it is what the caller wants; one that is not is never taken after one that is.
+            fits: The caller wants such a moment; another is never kept after one that fits.
         """
         now = (fits, self._filmed.business())
         if now <= self._best:
@@ -305,21 +353,23 @@ class _OwnCode(PolicyAgentAdapter):
 
 
 def _triptych(rgb: U8, class_id: U8, depth_m: F32) -> U8:
-    """Colour (H, W, 3), class and depth (H, W) of one camera side by side, (H, 3 W, 3) uint8, with captions."""
+    """Colour (H, W, 3), class and depth (H, W) side by side, (H, 3 W, 3) uint8, with captions."""
     classes = with_legend(class_colours(class_id), class_id)
     panels = {"camera": rgb, "class": classes, "depth": depth_colours(depth_m)}
     return np.hstack([captioned(panel, name) for name, panel in panels.items()])
 
 
 def with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -> None:
-    """Draw into an image (H, W, 3) where the user's stick is, where the executed one, and a warning."""
+    """Draw the user's stick, the executed one and a warning into an image (H, W, 3)."""
     height, width = image.shape[:2]
     side = max(24, round(_PAD_SHARE * height))
     left, top = width - side - 6, height - side - 6
     pad = image[top : top + side, left : left + side]
     darken(pad, 0.3)
     middle, reach = side // 2, 0.42 * side
-    cv2.rectangle(pad, (0, 0), (side - 1, side - 1), WARN_RGB if warning else _RIM, 3 if warning else 1)
+    cv2.rectangle(
+        pad, (0, 0), (side - 1, side - 1), WARN_RGB if warning else _RIM, 3 if warning else 1
+    )
     cv2.line(pad, (middle, 4), (middle, side - 5), _RIM, 1)
     cv2.line(pad, (4, middle), (side - 5, middle), _RIM, 1)
     for stick, colour, size in ((given, GIVEN_RGB, 0.09), (asked, ASKED_RGB, 0.05)):

@@ -1,4 +1,4 @@
-"""A running world and its clients, on one screen: progress of each, and the client that delays it."""
+"""A running world and its clients on one screen: their progress, and who delays it."""
 
 from contextlib import suppress
 from typing import Self
@@ -11,7 +11,12 @@ from rich.text import Text
 
 from wcsim.core.closing import ClosingContextBase
 from wcsim.core.reading import pluralize
-from wcsim.server.launch.states import ClientProcessState, ClientStatusReport, LaunchProcessStates, WorldStatusReport
+from wcsim.server.launch.states import (
+    ClientProcessState,
+    ClientStatusReport,
+    LaunchProcessStates,
+    WorldStatusReport,
+)
 
 PAYS = "acts/learns/waits %"
 _LINE_S = 10.0  # between two lines where there is no terminal
@@ -21,11 +26,15 @@ _ENOUGH_S = 1.0  # ... once that is worth a word
 
 
 class LiveTable(ClosingContextBase):
-    """Shows a `LaunchProcessStates` again and again: a table on a terminal, elsewhere a line every ten seconds."""
+    """Shows `LaunchProcessStates`: a table on a terminal, elsewhere a line every ten seconds."""
 
     def __init__(self, console: Console | None = None) -> None:
         """Show on a console, by default that of stderr."""
-        self.console = Console(stderr=True, highlight=False, emoji=False, markup=False) if console is None else console
+        self.console = (
+            Console(stderr=True, highlight=False, emoji=False, markup=False)
+            if console is None
+            else console
+        )
         self._live = Live(console=self.console, auto_refresh=False, transient=True)
         self._lined_s = 0.0
         self._nobody_reads = False
@@ -60,8 +69,21 @@ class LiveTable(ClosingContextBase):
 def _table_of(state: LaunchProcessStates) -> RenderableType:
     """A head line and a row for each client."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for title in ("client", "chair", "step", "phase", "episodes", "crashes", "KPI 1", PAYS, "state", "restarts"):
-        table.add_column(title, justify="left" if title in ("client", "state") else "right", no_wrap=True)
+    for title in (
+        "client",
+        "chair",
+        "step",
+        "phase",
+        "episodes",
+        "crashes",
+        "KPI 1",
+        PAYS,
+        "state",
+        "restarts",
+    ):
+        table.add_column(
+            title, justify="left" if title in ("client", "state") else "right", no_wrap=True
+        )
     for client in state.clients:
         table.add_row(*_row(client, state.world))
     return Group(Text(_head_of(state), no_wrap=True, overflow="ellipsis"), table)
@@ -77,7 +99,11 @@ def _head_of(state: LaunchProcessStates) -> str:
     """The world, and for whom it waits."""
     world = state.world
     if world is None or state.world_standing != "running":
-        again = f" (started again {pluralize(state.world_restarts, 'time')})" if state.world_restarts else ""
+        again = (
+            f" (started again {pluralize(state.world_restarts, 'time')})"
+            if state.world_restarts
+            else ""
+        )
         is_so = "loading" if state.world_standing == "starting" else state.world_standing
         return f"the world is {is_so}{again}"
     parts = [
@@ -92,12 +118,17 @@ def _head_of(state: LaunchProcessStates) -> str:
 
 
 def _waits_of(world: WorldStatusReport) -> str:
-    """For whom everybody waits: now when that is long, else in the mean when one stands out; "" else."""
+    """Whom all wait for: now if that is long, else in the mean if one stands out, else ""."""
     if world.late and world.late_s >= _WAITS_S and len(world.late) < max(2, len(world.members)):
         return f"waiting for {', '.join(world.late)} ({world.late_s:.1f} s)"
     slowest = max(world.held, key=lambda held: held.seconds, default=None)
     all_s = sum(held.seconds for held in world.held)
-    if slowest is None or len(world.held) < 2 or all_s < _ENOUGH_S or slowest.seconds < _SLOW_SHARE * all_s:
+    if (
+        slowest is None
+        or len(world.held) < 2
+        or all_s < _ENOUGH_S
+        or slowest.seconds < _SLOW_SHARE * all_s
+    ):
         return ""
     return f"slowest client {slowest.name} ({slowest.seconds / all_s:.0%} of {all_s:.1f} s waiting)"
 
@@ -109,7 +140,14 @@ def _row(client: ClientProcessState, world: WorldStatusReport | None) -> tuple[s
     if status is not None:
         kpi1 = "-" if status.kpi1 is None else f"{status.kpi1:.3f}"
         progress = f"{status.step}/{status.total_steps}"
-        cells = (progress, str(status.phase), str(status.episodes), str(status.crashes), kpi1, _pays_of(status))
+        cells = (
+            progress,
+            str(status.phase),
+            str(status.episodes),
+            str(status.crashes),
+            kpi1,
+            _pays_of(status),
+        )
     return (
         f"{client.name}{' *' if master else ''}",
         str(client.seat),

@@ -1,12 +1,11 @@
 """The street from behind the chair: pictures for films and reports.
 
-The camera keeps walls out of the view: where one stands before the chair, it comes higher, or nearer.
+If a wall stands before the chair, the camera comes higher or nearer.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -21,10 +20,25 @@ from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer.base import Pinhole, Renderer
 from wcsim.physics.renderer.cast import Cast
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import ChairPose, Instances, actor_instances, chair_pose, rotation_of
+from wcsim.physics.renderer.instances import (
+    ChairPose,
+    actor_instances,
+    chair_pose,
+    rotation_of,
+)
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.sensors.camera_geometry import focal_px, look_at
-from wcsim.types import F64, I32, U8, ActorState, Bool, CameraFrame, ClientSnapshot, Route, SignalState, Street
+from wcsim.types import (
+    F64,
+    I32,
+    U8,
+    ActorState,
+    CameraFrame,
+    ClientSnapshot,
+    Route,
+    SignalState,
+    Street,
+)
 from wcsim.types.street import Ground
 from wcsim.view.filming import SIGHT_M
 
@@ -33,23 +47,35 @@ if TYPE_CHECKING:  # a page for drivers does not load it
 
 DISTANCE_M: Final = 6.0  # of the camera from the chair
 AIM_M = 0.9  # above the ground: the middle of who sits in the chair
-_AHEAD_SHARE = 0.35  # of the distance: the camera aims so far ahead of the chair while it looks from behind
+_AHEAD_SHARE = (
+    0.35  # of the distance: the camera aims so far ahead of the chair while it looks from behind
+)
 _AHEAD_M: Final = 30.0
 _EVERY_M: Final = 0.9
 _OVER_M: Final = 0.06  # so high above the ground, or it would lie in it
 _DOT_M: Final = 0.13  # radius
 _POLE_M: Final = 2.4
 _BEHIND_M: Final = 0.35  # so much nearer a thing hides a dot
-WAY_RGB, GOAL_RGB, _RIM_RGB, _CHAIR_RGB = (0, 122, 94), (196, 30, 58), (255, 255, 255), (16, 92, 184)
+WAY_RGB, GOAL_RGB, _RIM_RGB, _CHAIR_RGB = (
+    (0, 122, 94),
+    (196, 30, 58),
+    (255, 255, 255),
+    (16, 92, 184),
+)
 _INK_RGB: Final = (20, 29, 48)
 _TRACK_STEPS, _TRACK_STEP_S, _STANDS = 20, 0.1, 0.1  # two seconds; slower ones have no track
+_ON_WAY_RAD: Final = math.radians(30.0)  # a way that goes on within this to either side lies ahead
 _TAGGED_M, _MOST_TAGS, _TAG_SCALE, _TAG_PX = 25.0, 3, 0.45, (125, 20)
 _PX: Final = 9
-_LOOK = Pinhole(width_px=_PX, height_px=_PX, focal_px=6.0 * _PX, near_m=0.05, range_m=60.0)  # a cone as wide as a chair
+_LOOK = Pinhole(
+    width_px=_PX, height_px=_PX, focal_px=6.0 * _PX, near_m=0.05, range_m=60.0
+)  # a cone as wide as a chair
 _MARGIN_M: Final = 0.3  # before a wall
 _ROOM_M: Final = 3.5  # from so far away a chair is seen whole, with some street around it
 _LEAST_M: Final = 1.2
-_TILTS_RAD: Final = tuple(math.radians(22.0 + step) for step in range(0, 67, 12))  # above the horizon
+_TILTS_RAD: Final = tuple(
+    math.radians(22.0 + step) for step in range(0, 67, 12)
+)  # above the horizon
 _FIELD_RAD: Final = deg2rad(54.0)  # of the picture's shorter side, about
 _NO_SEAT: Final = -1
 
@@ -75,7 +101,9 @@ def _stand(p_WB_m: F64, yaw_rad: float, tilt_rad: float, distance_m: float) -> F
     [-6.0, 0.0, 0.9]
     """
     flat_m, up_m = distance_m * math.cos(tilt_rad), AIM_M + distance_m * math.sin(tilt_rad)
-    stand_W_m: F64 = p_WB_m + np.array([-flat_m * math.cos(yaw_rad), -flat_m * math.sin(yaw_rad), up_m])
+    stand_W_m: F64 = p_WB_m + np.array(
+        [-flat_m * math.cos(yaw_rad), -flat_m * math.sin(yaw_rad), up_m]
+    )
     return stand_W_m
 
 
@@ -87,13 +115,16 @@ class Moment:
     signals: tuple[SignalState, ...]
     chairs: tuple[ChairPose, ...]
     seat: int  # whose pictures these are; one of `chairs`
-    jumped: bool = False  # the chair is somewhere else than a moment ago: the picture's camera does not come after it
+    # The chair is somewhere else than a moment ago; the picture's camera jumps with it.
+    jumped: bool = False
     route: Route | None = None  # None where it is not known
     done_m: float = 0.0  # along the route
     motion: tuple[float, float] | None = (
         None  # the chair's speed ahead, m/s, and turn rate, rad/s, where they are known
     )
-    frame: CameraFrame | None = None  # what its front camera saw; drawn, without errors, where that is not known
+    frame: CameraFrame | None = (
+        None  # what its front camera saw; drawn, without errors, where that is not known
+    )
 
     @property
     def column(self) -> int:
@@ -122,7 +153,7 @@ class SeenStreet:
 
     @property
     def picture(self) -> U8:
-        """The colours (H, W, 3), which may be drawn upon. Raises ConfigError where there are none."""
+        """The colours (H, W, 3), to be drawn upon. Raises ConfigError: there are none."""
         if self.images.rgb is None:
             raise ConfigError("these images have no colours; they are made with rgb=True")
         return self.images.rgb
@@ -139,7 +170,9 @@ class SeenStreet:
     def seen(self, point_W_m: F64) -> tuple[int, int, float] | None:
         """The same, for a point that is in the picture with nothing before it."""
         found = self.pixel(point_W_m)
-        if found is None or not (0 <= found[0] < self.camera.width_px and 0 <= found[1] < self.camera.height_px):
+        if found is None or not (
+            0 <= found[0] < self.camera.width_px and 0 <= found[1] < self.camera.height_px
+        ):
             return None
         behind_m = _BEHIND_M * (1.0 + 0.05 * found[2])
         return found if self.images.depth_m[found[1], found[0]] > found[2] - behind_m else None
@@ -154,9 +187,13 @@ def _ground_points(route: Route, done_m: float, grid: Ground) -> F64:
         grid: The ground's heights.
     """
     length_m = float(route.arc_m[-1])
-    first_m = math.ceil((done_m + 1.2) / _EVERY_M) * _EVERY_M  # on a raster: dots lie still while the chair drives
+    first_m = (
+        math.ceil((done_m + 1.2) / _EVERY_M) * _EVERY_M
+    )  # on a raster: dots lie still while the chair drives
     arcs_m = np.append(np.arange(first_m, min(done_m + _AHEAD_M, length_m), _EVERY_M), length_m)
-    xy = np.column_stack([np.interp(arcs_m, route.arc_m, route.points_W_m[:, axis]) for axis in (0, 1)])
+    xy = np.column_stack(
+        [np.interp(arcs_m, route.arc_m, route.points_W_m[:, axis]) for axis in (0, 1)]
+    )
     return np.column_stack([xy, np.asarray(grid.height_at(xy), np.float64) + _OVER_M])
 
 
@@ -177,18 +214,21 @@ def _mark_way(scene: SeenStreet, points_W_m: F64) -> None:
         u, v, _ = above
         size = max(6, abs(seen[1] - v) // 3)
         cv2.line(image, seen[:2], (u, v), _RIM_RGB, max(2, size // 6), cv2.LINE_AA)
-        _fill(image, [(u, v), (u + round(1.4 * size), v + size // 2), (u, v + size)], GOAL_RGB)
+        flag = np.array([(u, v), (u + round(1.4 * size), v + size // 2), (u, v + size)], np.int32)
+        cv2.fillPoly(image, [flag], GOAL_RGB, cv2.LINE_AA)
+        cv2.polylines(image, [flag], True, _RIM_RGB, 1, cv2.LINE_AA)
 
 
 def _mark_track(scene: SeenStreet, moment: Moment, ground: Ground) -> None:
-    """Draw the ground that the chair takes in the next two seconds if it goes on so, its place then, and its speed."""
+    """Draw the ground that the chair takes in the next two seconds, its place then, its speed."""
     if moment.motion is None:
         return
     speed_mps, turn_radps = moment.motion
     (x, y, _), yaw_rad, places = moment.chair.p_WB_m.tolist(), moment.yaw_rad, []
     for _ in range(_TRACK_STEPS):
         yaw_rad += 0.5 * turn_radps * _TRACK_STEP_S
-        x, y = x + speed_mps * _TRACK_STEP_S * math.cos(yaw_rad), y + speed_mps * _TRACK_STEP_S * math.sin(yaw_rad)
+        x += speed_mps * _TRACK_STEP_S * math.cos(yaw_rad)
+        y += speed_mps * _TRACK_STEP_S * math.sin(yaw_rad)
         yaw_rad += 0.5 * turn_radps * _TRACK_STEP_S
         places.append((x, y, math.cos(yaw_rad), math.sin(yaw_rad)))
     outline = moment.chair.outline
@@ -206,23 +246,31 @@ def _mark_track(scene: SeenStreet, moment: Moment, ground: Ground) -> None:
         _tag(scene.picture, tuple(aside[0].tolist()), f"{abs(speed_mps):.1f} m/s")
 
 
-def _beside(place: tuple[float, float, float, float], along_m: float, left_m: float) -> tuple[float, float]:
+def _beside(
+    place: tuple[float, float, float, float], along_m: float, left_m: float
+) -> tuple[float, float]:
     x, y, cos, sin = place
     return x + along_m * cos - left_m * sin, y + along_m * sin + left_m * cos
 
 
 def _on_ground(scene: SeenStreet, points_W_m: F64, ground: Ground) -> I32:
-    """Columns and rows (m, 2) of points (n, 2) on the ground; those behind the camera are left out."""
+    """Columns and rows (m, 2) of ground points (n, 2), without those behind the camera."""
     lifted = np.c_[points_W_m, ground.height_at(points_W_m) + _OVER_M]
-    return np.array([found[:2] for point in lifted if (found := scene.pixel(point)) is not None], np.int32).reshape(
-        -1, 2
-    )
+    return np.array(
+        [found[:2] for point in lifted if (found := scene.pixel(point)) is not None], np.int32
+    ).reshape(-1, 2)
 
 
 def _mark_near(scene: SeenStreet, moment: Moment) -> None:
-    """Say how far those are who are nearest ahead, and what they are; no label lies upon another."""
-    here_W_m, ahead = moment.chair.p_WB_m, np.array([math.cos(moment.yaw_rad), math.sin(moment.yaw_rad)])
-    gaps = [(math.dist(actor.p_W_m[:2], here_W_m[:2]), number) for number, actor in enumerate(moment.actors)]
+    """Label who is nearest ahead, and how far; no label lies upon another."""
+    here_W_m, ahead = (
+        moment.chair.p_WB_m,
+        np.array([math.cos(moment.yaw_rad), math.sin(moment.yaw_rad)]),
+    )
+    gaps = [
+        (math.dist(actor.p_W_m[:2], here_W_m[:2]), number)
+        for number, actor in enumerate(moment.actors)
+    ]
     tagged: list[tuple[int, int]] = []
     for gap_m, number in sorted(gaps):
         actor, tall_m = moment.actors[number], moment.actors[number].size_lwh_m[2]
@@ -246,20 +294,15 @@ def _tag(image: U8, middle: tuple[int, int], text: str) -> None:
     cv2.putText(image, text, (u, v), cv2.FONT_HERSHEY_DUPLEX, _TAG_SCALE, _INK_RGB, 1, cv2.LINE_AA)
 
 
-def _fill(image: U8, corners: Sequence[tuple[float, float]], rgb: tuple[int, int, int], rim_px: int = 1) -> None:
-    """Draw a polygon of a colour with a light rim into a picture."""
-    polygon = [np.array(corners, np.int32)]
-    cv2.fillPoly(image, polygon, rgb, cv2.LINE_AA)
-    cv2.polylines(image, polygon, True, _RIM_RGB, rim_px, cv2.LINE_AA)
-
-
 def _held(renderer: Renderer, p_WB_m: F64, yaw_rad: float) -> tuple[float, float]:
     """Tilt and distance from which the chair is seen, as near as can be to the usual ones."""
     images, nobody = new_images(_PX, _PX, rgb=False), actor_instances(())
     best_rad, most_m = _TILTS_RAD[0], -1.0
     for tilt_rad in _TILTS_RAD:
         # From above the chair towards the camera: how far it is to what hides half of the chair.
-        T_CW = look_at(p_WB_m + np.array([0.0, 0.0, AIM_M]), _stand(p_WB_m, yaw_rad, tilt_rad, DISTANCE_M))
+        T_CW = look_at(
+            p_WB_m + np.array([0.0, 0.0, AIM_M]), _stand(p_WB_m, yaw_rad, tilt_rad, DISTANCE_M)
+        )
         renderer.render(_LOOK, T_CW, nobody, images)
         met_m = np.sort(np.where(images.depth_m > 0.0, images.depth_m, _LOOK.range_m), axis=None)
         room_m = float(met_m[len(met_m) // 2]) - _MARGIN_M
@@ -274,7 +317,8 @@ class StreetPictures:
     """Draws moments of one street; another street needs another object."""
 
     def __init__(self, street: Street) -> None:
-        self._renderer, self._cast = RasterRenderer(GeometryStore(street.mesh)), Cast(street.signal_heads)
+        self._renderer = RasterRenderer(GeometryStore(street.mesh))
+        self._cast = Cast(street.signal_heads)
         self._grid = street.grid
 
     def behind(self, moment: Moment, width_px: int, height_px: int) -> SeenStreet:
@@ -288,26 +332,22 @@ class StreetPictures:
             range_m=SIGHT_M,
         )
         eye = _eye(here_W_m, moment.yaw_rad, *_held(self._renderer, here_W_m, moment.yaw_rad))
-        scene = self._look(lens, eye, *self._rows(moment))
+        rows, shown = self._cast.seen(
+            moment.actors, moment.chairs, moment.signals, (_NO_SEAT,), here_W_m[None], SIGHT_M
+        )
+        images = new_images(width_px, height_px, rgb=True)
+        self._renderer.render(lens, eye, rows, images, shown[0])
+        scene = SeenStreet(images=images, camera=lens, T_CW=eye)
         if moment.route is not None:
             _mark_way(scene, _ground_points(moment.route, moment.done_m, self._grid))
         _mark_track(scene, moment, self._grid)
         _mark_near(scene, moment)
         return scene
 
-    def _rows(self, moment: Moment) -> tuple[Instances, Bool]:
-        """What moves, and which of it a camera sees that sits on no chair."""
-        eyes_W_m = moment.chair.p_WB_m[None]
-        rows, shown = self._cast.seen(moment.actors, moment.chairs, moment.signals, (_NO_SEAT,), eyes_W_m, SIGHT_M)
-        return rows, shown[0]
 
-    def _look(self, camera: Pinhole, T_CW: F64, rows: Instances, shown: Bool) -> SeenStreet:
-        images = new_images(camera.width_px, camera.height_px, rgb=True)
-        self._renderer.render(camera, T_CW, rows, images, shown)
-        return SeenStreet(images=images, camera=camera, T_CW=T_CW)
-
-
-def moment_of(world: World, client: ClientSnapshot, route: Route, done_m: float, *, jumped: bool = False) -> Moment:
+def moment_of(
+    world: World, client: ClientSnapshot, route: Route, done_m: float, *, jumped: bool = False
+) -> Moment:
     """The street of now around the chair in the first seat, on its way; `jumped` as in `Moment`."""
     snapshot = world.snapshot
     return Moment(
@@ -325,10 +365,13 @@ def moment_of(world: World, client: ClientSnapshot, route: Route, done_m: float,
 
 def played_moment(step: PlayedStep) -> Moment:
     """The street of a step that was driven once more."""
-    return Moment(actors=step.actors, signals=step.signals, chairs=step.chairs, seat=step.seat, motion=step.motion)
-
-
-_ON_WAY_RAD: Final = math.radians(30.0)  # a way that goes on within this to either side lies ahead
+    return Moment(
+        actors=step.actors,
+        signals=step.signals,
+        chairs=step.chairs,
+        seat=step.seat,
+        motion=step.motion,
+    )
 
 
 class StillPictures:
@@ -339,7 +382,7 @@ class StillPictures:
 
     @property
     def on_way(self) -> bool:
-        """Whether the chair faces its way now: while it turns first, its picture shows a way that leads elsewhere."""
+        """Whether the chair faces its way: while it first turns, its picture shows another way."""
         user, plant = self._world.seats[0], self._world.snapshot.clients[0].plant
         return abs(bearing_rad(user.route, user.user.route_progress_m, plant)) < _ON_WAY_RAD
 

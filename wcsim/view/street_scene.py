@@ -23,15 +23,15 @@ from wcsim.physics.renderer.kernels import STRIPES, WINDOWS
 from wcsim.physics.renderer.models.catalog import Template, actor_templates
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_matrix
+from wcsim.supervisor.palette import COLOURS
 from wcsim.types import U8, Bool, CameraFrame, Route, Street, StreetMesh
 from wcsim.types.street import Ground
-from wcsim.view.pictures import class_colours, depth_colours, with_legend
+from wcsim.view.pictures import class_colours, depth_colours
 from wcsim.view.street_pictures import Moment
 
 SIGHT_M: Final = 160.0  # tiles and actors as far away as this are told
 MOST_ROWS: Final = 84
 _OVER_M: Final = 0.06  # so high above the ground the route lies, or it would lie in it
-_CAMERA_PX: Final = 320
 _NO_SEAT: Final = -1
 _HEAD: Final = struct.Struct("<I")
 _PART: Final = struct.Struct("<cI")
@@ -61,11 +61,11 @@ class CameraKind(StrEnum):
 
 
 class StreetFeed:
-    """Tells a page of one street: its files, what the page is to know of it, and its moments.
+    """Tells a page of one street: its files, what the page must know of it, and its moments.
 
     Args:
-        street: Another one needs another object, with another number.
-        front: The camera of the chairs; None where it is not known, and nothing is shown as they see it.
+        street: Another street needs another object, with another number.
+        front: The camera of the chairs. None if it is not known; then no camera is shown.
         number: Of the street.
     """
 
@@ -79,7 +79,7 @@ class StreetFeed:
         self._shown = 0
 
     def news(self, moment: Moment) -> Iterator[tuple[str, bytes | dict[str, Any]]]:
-        """What a page needs before it can draw this moment: files by name, then lines by what they say.
+        """What a page needs to draw this moment: files by name, then lines by what they say.
 
         The first moment has all tiles around it, a later one at most one more.
         """
@@ -101,8 +101,10 @@ class StreetFeed:
             )
             yield f"models-{self._number}", head + b"".join(part.tobytes() for part in parts)
 
-        # 2. The tiles that have come near, and those that are near no more.
-        names = {f"{self._number}_{key[0]}_{key[1]}": key for key in tiles.near(p_W_m[None], SIGHT_M)}
+        # 2. The tiles that have come near, without those that are near no more.
+        names = {
+            f"{self._number}_{key[0]}_{key[1]}": key for key in tiles.near(p_W_m[None], SIGHT_M)
+        }
         fresh = [name for name in names if name not in self._tiles][: None if first else 1]
         for name in fresh:
             yield name, _tile_to_buffer(tiles.mesh(names[name]))
@@ -111,10 +113,12 @@ class StreetFeed:
         if self._tiles != before:
             yield "street", self._about()
 
-        # 3. The way, where that is another one.
+        # 3. The way, if it is another one.
         if first or moment.route != self._route:
             self._route = moment.route
-            yield "way", {"points": [] if moment.route is None else _lifted(moment.route, self._street.grid)}
+            no_way: list[list[float]] = []
+            points = no_way if moment.route is None else _lifted(moment.route, self._street.grid)
+            yield "way", {"points": points}
 
     def _about(self) -> dict[str, Any]:
         front = self._front
@@ -132,14 +136,20 @@ class StreetFeed:
             "from": self._from_m,
             "models": f"models-{self._number}",
             "names": names,
+            "classes": {
+                f"#{red:02x}{green:02x}{blue:02x}": each.name.replace("_", " ").lower()
+                for each, (red, green, blue) in COLOURS.items()
+            },
             "eye": eye,
             "tiles": self._tiles,
         }
 
     def picture(self, moment: Moment, camera: CameraKind) -> bytes:
-        """A moment in one message: its number, then for each part a letter, its length, its bytes."""
+        """A moment in one message: its number, then each part's letter, length and bytes."""
         eye_W_m = moment.chair.p_WB_m[None]
-        rows, shown = self._cast.seen(moment.actors, moment.chairs, moment.signals, (_NO_SEAT,), eye_W_m, SIGHT_M)
+        rows, shown = self._cast.seen(
+            moment.actors, moment.chairs, moment.signals, (_NO_SEAT,), eye_W_m, SIGHT_M
+        )
         chair = moment.chair
         # 1. The nearest rows.
         away_m = rows.p_W_m - chair.p_WB_m
@@ -166,37 +176,44 @@ class StreetFeed:
             math.atan2(R_WB[2, 1], R_WB[2, 2]),
         )
         motion = moment.motion or (0.0, 0.0)
-        head = _SCENE.pack(*chair.p_WB_m.tolist(), *turns, *motion, moment.done_m, len(told), moment.jumped)
+        head = _SCENE.pack(
+            *chair.p_WB_m.tolist(), *turns, *motion, moment.done_m, len(told), moment.jumped
+        )
         parts = [(b"P", head + told.tobytes())]
         if camera is not CameraKind.NOTHING and self._front is not None:
             picture = self._seen(moment, camera, self._front, rows, shown[0])
-            _, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 80])
+            _, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
             parts.append((b"C", data.tobytes()))
         self._shown += 1
-        return _HEAD.pack(self._shown) + b"".join(_PART.pack(letter, len(data)) + data for letter, data in parts)
+        return _HEAD.pack(self._shown) + b"".join(
+            _PART.pack(letter, len(data)) + data for letter, data in parts
+        )
 
-    def _seen(self, moment: Moment, kind: CameraKind, front: CameraConfig, rows: Instances, shown: Bool) -> U8:
-        """What the front camera gives to the policy; without errors where its frame is not known."""
+    def _seen(
+        self, moment: Moment, kind: CameraKind, front: CameraConfig, rows: Instances, shown: Bool
+    ) -> U8:
+        """What the front camera gives to the policy; without errors if its frame is not known."""
         frame: CameraFrame | Images | None = moment.frame
         if frame is None:
             self._renderer = self._renderer or RasterRenderer(GeometryStore(self._street.mesh))
-            shown[len(moment.actors) + moment.column] = False  # the chair itself, which its camera does not see
+            # The chair's own camera does not see the chair.
+            shown[len(moment.actors) + moment.column] = False
             lens = pinhole(front)
             images = new_images(lens.width_px, lens.height_px, rgb=False)
             T_CW = camera_matrix(pose_matrix(moment.chair.p_WB_m, moment.chair.q_WB), mount(front))
             self._renderer.render(lens, T_CW, rows, images, shown)
             frame = images
-        is_class = kind is CameraKind.CLASSES
-        picture = class_colours(frame.class_id) if is_class else depth_colours(frame.depth_m, front.range_m)
-        scale = max(1, _CAMERA_PX // picture.shape[1])
-        large = np.ascontiguousarray(picture.repeat(scale, axis=0).repeat(scale, axis=1))
-        return with_legend(large, frame.class_id) if is_class else large
+        if kind is CameraKind.CLASSES:
+            return class_colours(frame.class_id)
+        return depth_colours(frame.depth_m, front.range_m)
 
 
 def _lifted(route: Route, ground: Ground) -> list[list[float]]:
     """A route's points (K, 3) a little above the ground, at most a metre from each other."""
     arcs_m = np.union1d(np.arange(0.0, float(route.arc_m[-1])), route.arc_m)
-    xy = np.column_stack([np.interp(arcs_m, route.arc_m, route.points_W_m[:, axis]) for axis in (0, 1)])
+    xy = np.column_stack(
+        [np.interp(arcs_m, route.arc_m, route.points_W_m[:, axis]) for axis in (0, 1)]
+    )
     z = np.asarray(ground.height_at(xy), np.float64) + _OVER_M
     places: list[list[float]] = np.column_stack([xy, z]).round(2).tolist()
     return places

@@ -10,6 +10,7 @@ import pytest
 
 from wcsim.drive.driven import DriverKind
 from wcsim.drive.messages import spoken
+from wcsim.drive.serving.access_control import content_policy
 from wcsim.drive.serving.server import PAGE
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -19,6 +20,7 @@ IN_CHROMIUM = (
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
 )
 ADDRESS = "http://127.0.0.1:9/"
+POLICY = content_policy("127.0.0.1:9")
 KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 PAD = "window.pads = []; navigator.getGamepads = () => window.pads;"
 PATIENCE_MS = 60_000
@@ -135,7 +137,8 @@ class PageAlone:
     def _read(self, route: Any) -> None:
         name = route.request.url.removeprefix(ADDRESS) or self._file
         path = PAGE / Path(name).name
-        route.fulfill(body=path.read_bytes(), content_type=KINDS[path.suffix])
+        headers = {"Content-Type": KINDS[path.suffix], "Content-Security-Policy": POLICY}
+        route.fulfill(body=path.read_bytes(), headers=headers)
 
     def _meet(self, socket: Any) -> None:
         self._socket = socket

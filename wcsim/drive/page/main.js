@@ -87,7 +87,7 @@ const link = new Link({
     if (what === "open") { scene.tell(); by("place").textContent = "opening the street …"; }
     else { setBusy(""); setRole({ drives: false, taken: false, told: "" }); big("Connection lost. The chair stops. Trying again …"); }
   },
-  pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
+  pictures(number, parts) { scene.show(number, parts).catch((error) => console.warn(`a moment that cannot be shown: ${error}`)); },
   street(message) { scene.setStreet(message); },
   way(message) { scene.setWay(message); },
   about(about) { setBusy(""); scene.setUnsafe([], about.points); panel.tellAbout(about); grid.setPoints(about.points); hint.begin(); big(""); },

@@ -39,7 +39,7 @@ const link = new Link({
     if (what === "open") scene.tell();
     else { waitFor(""); big("Connection lost. Trying again …"); }
   },
-  pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
+  pictures(number, parts) { scene.show(number, parts).catch((error) => console.warn(`a moment that cannot be shown: ${error}`)); },
   street(message) { scene.setStreet(message); },
   way(message) { scene.setWay(message); },
   about: tellAbout,

@@ -25,11 +25,21 @@ const TRACK_S = 2, TRACK_STEPS = 20;
 const MAP_SPAN_M = 60, MAP_PX = 320, MAP_MS = 400;
 const MIRROR_SHARE = 0.3, MIRROR_DEG = 62;
 const TAGGED_M = 25, MOST_TAGS = 3;
+const LEGEND_EVERY = 5, MOST_CLASSES = 8;
+const SOFTWARE_QUALITY = 0.6;
 const SLOW_MS = 85, FAST_MS = 34, CALM_FRAMES = 12;
 const CHAIR = 7; // its template
 const PUSHED = 0.15; // a stick that is pushed less leads nowhere
 const NEAR_M = 1.6; // so near is what was hit
 const HALF_M = 0.6, WAY_M = 4, WAY_STEP_M = 0.25, KERB_M = 0.025, WALL_M = 0.4;
+
+// Whether the processor draws, which takes four times as long with smooth edges: there is no graphics card, or it is not used.
+function isSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2"), told = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = String(gl?.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+}
 
 export class Scene {
   constructor(link) {
@@ -48,6 +58,11 @@ export class Scene {
     this.dirty = true;
     this.unsafe = [];
     this.points = [];
+    this.cast = null; // the tick for which rays were cast last: what is in the way, and whose tag is hidden
+    this.best = { tilt: 0, room: 1e3 };
+    this.tagged = [];
+    this.sharp = false;
+    this.decodes = false; // a picture of the camera; those that come meanwhile are left out
     this.canvas = by("scene");
     this.start();
     this.wire();
@@ -55,7 +70,9 @@ export class Scene {
 
   start() {
     try {
-      this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true, powerPreference: "high-performance" });
+      const slow = isSoftware();
+      if (slow) this.quality = SOFTWARE_QUALITY;
+      this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: !slow, powerPreference: "high-performance" });
     } catch {
       this.renderer = null;
       put(by("no-street"), "This browser cannot draw the street: it has no WebGL 2. Below is what the chair’s camera sees.");
@@ -142,6 +159,7 @@ export class Scene {
   async setStreet(told) {
     this.eye = told.eye;
     this.names = told.names;
+    this.classes = told.classes;
     if (!this.street) return;
     if (told.number !== this.number) {
       this.number = told.number;
@@ -182,7 +200,11 @@ export class Scene {
     this.points = points ?? this.points;
   }
 
+  // Said to be shown as soon as it is heard: the street is drawn at the screen's rate, whatever comes.
   async show(number, parts) {
+    this.shown += 1;
+    document.body.dataset.pictures = String(this.shown);
+    this.link.say("shown", { number });
     if (parts.P) {
       const tick = { ...tickOf(parts.P), at_ms: performance.now() };
       const before = this.ticks.at(-1);
@@ -190,15 +212,30 @@ export class Scene {
       if (!before || tick.jumped) { this.yaw = tick.yaw; this.share = 1; this.tilt = 0; }
       this.ticks = before && !tick.jumped ? [before, tick] : [tick, tick];
     }
-    if (parts.C) {
-      const picture = await createImageBitmap(new Blob([parts.C], { type: "image/jpeg" })), canvas = by("camera");
+    if (parts.C && !this.decodes) {
+      this.decodes = true;
+      const picture = await createImageBitmap(new Blob([parts.C], { type: "image/png" })).finally(() => { this.decodes = false; }), canvas = by("camera");
       if (canvas.width !== picture.width || canvas.height !== picture.height) { canvas.width = picture.width; canvas.height = picture.height; }
-      canvas.getContext("2d").drawImage(picture, 0, 0);
+      const pen = canvas.getContext("2d", { willReadFrequently: true });
+      pen.drawImage(picture, 0, 0);
       picture.close();
+      if (this.shown % LEGEND_EVERY === 1) this.tellClasses(pen.getImageData(0, 0, canvas.width, canvas.height).data);
     }
-    this.shown += 1;
-    document.body.dataset.pictures = String(this.shown);
-    this.link.say("shown", { number });
+  }
+
+  // Which classes the camera's picture has, the largest first.
+  tellClasses(rgba) {
+    const counts = new Map();
+    for (let at = 0; at < rgba.length; at += 4) {
+      const colour = `#${((rgba[at] << 16) | (rgba[at + 1] << 8) | rgba[at + 2]).toString(16).padStart(6, "0")}`;
+      counts.set(colour, (counts.get(colour) ?? 0) + 1);
+    }
+    const most = by("camera-kind").value === "classes" ? [...counts].filter(([colour]) => colour in this.classes).sort((a, b) => b[1] - a[1]) : [];
+    by("camera-legend").replaceChildren(...most.slice(0, MOST_CLASSES).map(([colour]) => {
+      const item = element("li", this.classes[colour]);
+      item.style.setProperty("--colour", colour);
+      return item;
+    }));
   }
 
   // --- a frame ---
@@ -207,22 +244,28 @@ export class Scene {
     const dt_ms = Math.min(1000, now_ms - (this.last_ms ?? now_ms));
     const [before, after] = this.ticks;
     const moves = after && now_ms - after.at_ms < 2000;
-    if (!after || !this.street.models || document.hidden || !(this.dirty || moves)) { this.last_ms = now_ms; return; }
+    const idle = !this.dirty && !moves;
+    if (!after || !this.street.models || document.hidden || (idle && this.sharp)) { this.last_ms = now_ms; return; }
+    this.sharp = idle; // where nothing moves, one picture is as fine as the screen
+    const casts = this.dirty || after !== this.cast;
+    this.cast = after;
     this.dirty = false;
     this.last_ms = now_ms;
-    this.measure(dt_ms);
+    if (!idle) this.measure(dt_ms);
     const share = after.jumped ? 1 : Math.min(1.2, Math.max(0, (now_ms - after.at_ms) / this.every_ms));
     const chair = this.chairAt(before, after, share);
     const dt_s = dt_ms / 1000;
     this.yaw = betweenAngles(this.yaw, chair.yaw, 1 - Math.exp(-dt_s / TURN_LAG_S));
-    this.street.place(this.rowsAt(before, after, share));
+    const rows = this.rowsAt(before, after, share);
+    this.street.place(rows);
     this.size();
     const map_due = by("chart-on").checked && now_ms - (this.map_ms ?? -1e9) > MAP_MS;
     if (map_due) { this.map_ms = now_ms; this.drawMap(chair); }
-    this.aim(chair, dt_s);
+    this.aim(chair, dt_s, casts);
     this.lay(chair);
     this.draw(chair);
-    this.tag(chair, after);
+    if (casts) this.tagged = this.toTag(chair, rows);
+    this.tag(chair, rows);
     document.body.dataset.frames = String(Number(document.body.dataset.frames ?? 0) + 1);
   }
 
@@ -255,7 +298,7 @@ export class Scene {
 
   size() {
     const box = this.canvas.getBoundingClientRect();
-    const scale = Math.min(devicePixelRatio || 1, 2) * this.quality;
+    const scale = Math.min(devicePixelRatio || 1, 2) * (this.sharp ? 1 : this.quality);
     const [width, height] = [Math.max(160, Math.round(box.width * scale)), Math.max(90, Math.round(box.height * scale))];
     if (this.canvas.width !== width || this.canvas.height !== height) this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
@@ -273,7 +316,7 @@ export class Scene {
     return new Vector3(here.x + flat * Math.cos(from), here.y + flat * Math.sin(from), here.z + AIM_M + distance * Math.sin(tilt));
   }
 
-  aim(chair, dt_s) {
+  aim(chair, dt_s, casts) {
     const here = this.local(chair.p);
     if (this.eyes && this.eye) {
       const c = Math.cos(chair.yaw), s = Math.sin(chair.yaw), [x, y, z] = this.eye.p_m, yaw = chair.yaw + this.eye.yaw_rad, tilt = this.eye.pitch_rad + chair.pitch;
@@ -282,19 +325,25 @@ export class Scene {
       return;
     }
     // As near as can be to what was asked: higher, or nearer, where a wall is in the way.
-    let best = 0, most = -1;
-    for (const more of TILTS_RAD) {
-      const room = this.room(here, Math.min(this.orbit.tilt_rad + more, HIGHEST_RAD));
-      if (room > most + MARGIN_M) { best = more; most = room; }
-      if (most >= Math.min(this.orbit.distance_m, ROOM_M)) break;
-    }
+    if (casts) this.best = this.freest(here);
     const part = 1 - Math.exp(-dt_s / ARM_LAG_S);
-    this.tilt += part * (best - this.tilt);
-    this.share += part * (Math.min(1, Math.max(most, LEAST_M) / this.orbit.distance_m) - this.share);
+    this.tilt += part * (this.best.tilt - this.tilt);
+    this.share += part * (Math.min(1, Math.max(this.best.room, LEAST_M) / this.orbit.distance_m) - this.share);
     const tilt = Math.min(this.orbit.tilt_rad + this.tilt, HIGHEST_RAD), distance = this.orbit.distance_m * this.share;
     const ahead = AHEAD_SHARE * distance * Math.cos(tilt) * Math.max(0, Math.cos(this.orbit.turn_rad));
     this.camera.position.copy(this.stand(here, tilt, distance));
     this.camera.lookAt(here.x + ahead * Math.cos(this.yaw), here.y + ahead * Math.sin(this.yaw), here.z + AIM_M);
+  }
+
+  // How much higher the camera should stand, and how far away it can.
+  freest(here) {
+    let best = { tilt: 0, room: -1 };
+    for (const tilt of TILTS_RAD) {
+      const room = this.room(here, Math.min(this.orbit.tilt_rad + tilt, HIGHEST_RAD));
+      if (room > best.room + MARGIN_M) best = { tilt, room };
+      if (best.room >= Math.min(this.orbit.distance_m, ROOM_M)) break;
+    }
+    return best;
   }
 
   room(here, tilt) {
@@ -363,9 +412,11 @@ export class Scene {
     street.street.side = street.marks.side = street.actor.side = 1;
     street.look(this.mirror.position);
     renderer.setScissorTest(true);
+    const rim = Math.max(1, Math.round(0.003 * width));
+    renderer.setScissor(left - rim, low - rim, wide + 2 * rim, high + 2 * rim);
+    renderer.clear(); // black: its frame
     renderer.setScissor(left, low, wide, high);
     renderer.setViewport(left, low, wide, high);
-    renderer.clear();
     renderer.render(street.scene, this.mirror);
     street.street.side = street.marks.side = street.actor.side = 0;
     renderer.setScissorTest(false);
@@ -419,21 +470,35 @@ export class Scene {
     mark(chart.width / 2, chart.height / 2, -chair.yaw, [[12, 0], [-8, 8], [-4, 0], [-8, -8]], "#105cb8");
   }
 
-  // Who is near ahead, and how far; no label lies upon another.
-  tag(chair, tick) {
-    const tags = [], home = by("tags"), { clientWidth: width, clientHeight: height } = this.canvas;
-    const gaps = [...tick.rows.values()].map((row) => [Math.hypot(row.p[0] - chair.p[0], row.p[1] - chair.p[1]), row]).sort((a, b) => a[0] - b[0]);
-    for (const [gap, row] of gaps) {
-      if (gap > TAGGED_M || tags.length === MOST_TAGS) break;
+  // Who is near ahead and in sight, the nearest first; no label lies upon another.
+  toTag(chair, rows) {
+    const tags = [], gapOf = (row) => Math.hypot(row.p[0] - chair.p[0], row.p[1] - chair.p[1]);
+    for (const row of [...rows].sort((a, b) => gapOf(a) - gapOf(b))) {
+      if (gapOf(row) > TAGGED_M || tags.length === MOST_TAGS) break;
       const ahead = (row.p[0] - chair.p[0]) * Math.cos(chair.yaw) + (row.p[1] - chair.p[1]) * Math.sin(chair.yaw);
       if (ahead <= 0 || this.isFixed(row, chair.p)) continue;
-      const top = this.local(row.p); top.z += row.size[2] + 0.12;
-      const seen = top.clone().project(this.camera);
-      if (seen.z > 1 || Math.abs(seen.x) > 1 || Math.abs(seen.y) > 1) continue;
-      const [u, v] = [(0.5 + 0.5 * seen.x) * width, (0.5 - 0.5 * seen.y) * height];
-      if (tags.some(([a, b]) => Math.abs(a - u) < 120 && Math.abs(b - v) < 22) || this.hidden(top)) continue;
-      tags.push([u, v, `${this.names?.[row.template] ?? "somebody"} ${gap.toFixed(0)} m`]);
+      const [u, v] = this.tagAt(row);
+      if (u === null || tags.some(([, a, b]) => Math.abs(a - u) < 120 && Math.abs(b - v) < 22) || this.hidden(this.topOf(row))) continue;
+      tags.push([row.id, u, v]);
     }
+    return tags.map(([id]) => id);
+  }
+
+  topOf(row) {
+    const top = this.local(row.p);
+    top.z += row.size[2] + 0.12;
+    return top;
+  }
+
+  // Where a label stands, in pixels of the page; nulls outside of the picture.
+  tagAt(row) {
+    const seen = this.topOf(row).project(this.camera), { clientWidth: width, clientHeight: height } = this.canvas;
+    return seen.z > 1 || Math.abs(seen.x) > 1 || Math.abs(seen.y) > 1 ? [null, null] : [(0.5 + 0.5 * seen.x) * width, (0.5 - 0.5 * seen.y) * height];
+  }
+
+  tag(chair, rows) {
+    const home = by("tags"), { clientWidth: width, clientHeight: height } = this.canvas;
+    const tags = rows.filter((row) => this.tagged.includes(row.id)).map((row) => [...this.tagAt(row), `${this.names?.[row.template] ?? "somebody"} ${Math.hypot(row.p[0] - chair.p[0], row.p[1] - chair.p[1]).toFixed(0)} m`]).filter(([u]) => u !== null);
     while (home.children.length < MOST_TAGS + 1) home.append(element("span"));
     [...home.children].forEach((node, i) => {
       if (i === MOST_TAGS) return;

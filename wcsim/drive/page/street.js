@@ -10,7 +10,7 @@ export const RANGE_M = 160;
 const LAMP = 23, WALKER = 31;
 export const isLamp = (row) => row.template >= LAMP && row.template < WALKER;
 export const isWalker = (row) => row.template >= WALKER;
-const CAPACITY = 96;
+const CAPACITY = 96, CORNERS = 300; // of a template, and of a line on the ground
 const HEAD_BYTES = 52, ROW_BYTES = 22;
 
 // --- shaders: the colours and patterns are those of the rasteriser, see `raster.py` ---
@@ -154,6 +154,14 @@ function plane(corners) {
   return geometry;
 }
 
+// The corners of a line, in the buffer that it has.
+function fill(mesh, numbers) {
+  const { geometry } = mesh, places = geometry.attributes.position, count = Math.min(numbers.length, 3 * CORNERS);
+  places.array.set(numbers.slice(0, count));
+  places.needsUpdate = true;
+  geometry.setDrawRange(0, count / 3);
+}
+
 const SQUARE = [-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, -1, 0, 1, 1, 0, -1, 1, 0];
 const ON_GROUND = { depthWrite: false, polygonOffset: true, polygonOffsetFactor: -2, polygonOffsetUnits: -8, side: DoubleSide };
 
@@ -263,7 +271,7 @@ export function tickOf(buffer) {
     let id = view.getUint32(at, true);
     while (rows.has(id)) id += 4294967296; // lamps have no id of their own
     rows.set(id, {
-      seed: id % 4294967296, p: [p[0] + centi(0), p[1] + centi(1), p[2] + centi(2)], size: [size(0), size(1), size(2)],
+      id, seed: id % 4294967296, p: [p[0] + centi(0), p[1] + centi(1), p[2] + centi(2)], size: [size(0), size(1), size(2)],
       yaw: view.getInt16(at + 16, true) / 1e4, pitch: view.getInt8(at + 18) / 100, roll: view.getInt8(at + 19) / 100,
       template: view.getUint8(at + 20), lamps: view.getUint8(at + 21),
     });
@@ -299,7 +307,7 @@ export class Street3D {
   }
 
   line(rgb, order, more) {
-    const mesh = new Mesh(plane([]), material(PLAIN_VERTEX, RGB_FRAGMENT, { uRgb: { value: new Vector3(...rgb) } }, { side: DoubleSide, ...more }));
+    const mesh = new Mesh(plane(new Array(3 * CORNERS).fill(0)), material(PLAIN_VERTEX, RGB_FRAGMENT, { uRgb: { value: new Vector3(...rgb) } }, { side: DoubleSide, ...more }));
     mesh.frustumCulled = false;
     mesh.renderOrder = order;
     this.scene.add(mesh);
@@ -394,14 +402,13 @@ export class Street3D {
     const away = Math.atan2(eye.y - y, eye.x - x), c = -Math.sin(away), s = Math.cos(away);
     const at = (along, up) => [x + c * along, y + s * along, z + up];
     const quad = (a, b, low, high) => [...at(a, low), ...at(b, low), ...at(b, high), ...at(a, low), ...at(b, high), ...at(a, high)];
-    this.flag.geometry.setAttribute("position", new BufferAttribute(new Float32Array([...quad(-0.03, 0.03, 0, 2.4), ...at(0, 2.4), ...at(0.85, 2.1), ...at(0, 1.8)]), 3));
+    fill(this.flag, [...quad(-0.03, 0.03, 0, 2.4), ...at(0, 2.4), ...at(0.85, 2.1), ...at(0, 1.8)]);
   }
 
   // Triangles [x, y, z] in W of the own track.
   showTrack(corners) {
     this.track.visible = corners.length > 0;
-    const places = corners.flatMap(([x, y, z]) => [x - this.from[0], y - this.from[1], z - this.from[2]]);
-    this.track.geometry.setAttribute("position", new BufferAttribute(new Float32Array(places), 3));
+    fill(this.track, corners.flatMap(([x, y, z]) => [x - this.from[0], y - this.from[1], z - this.from[2]]));
   }
 
   showCrosses(places) {

@@ -1,1 +1,1 @@
-"""Play what was driven, or is being driven: a film of light states, a player, sources. How it is made: sources."""
+"""Play what was or is being driven: a film of light states, its player and its sources."""

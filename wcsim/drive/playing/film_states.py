@@ -1,7 +1,7 @@
-"""The light state of a street after a tick: enough to draw it from anywhere, a few kilobytes instead of a world.
+"""The light state of a street after a tick: a few kilobytes that suffice to draw it from anywhere.
 
-A source says what it is (`FilmAbout`), then a `FilmFrame` a tick, and lines in between (`FilmLine`). What stays the
-same from tick to tick is said again each time: packed together it takes next to nothing.
+A source sends what it is (`FilmAbout`), then a `FilmFrame` each tick, with lines in between
+(`FilmLine`). What stays the same is sent again in each tick: packed, it takes next to nothing.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,7 +12,16 @@ import numpy as np
 
 from wcsim.bridge.world import World
 from wcsim.supervisor.kpi import DROP
-from wcsim.types import F64, ActorKind, ActorLook, ActorState, ClientSnapshot, Outline, Route, SignalState, Snapshot
+from wcsim.types import (
+    ActorKind,
+    ActorLook,
+    ActorState,
+    ClientSnapshot,
+    Outline,
+    Route,
+    SignalState,
+    Snapshot,
+)
 
 XY = tuple[float, float]
 _DIGITS: Final = 4
@@ -29,7 +38,7 @@ class _FilmBody(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
 
 
 class TickSays(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What was asked and given in a tick for one chair, and what its policy said; None is what is not known."""
+    """The sticks of one chair in a tick, and what its policy said; None where it is not known."""
 
     stick: XY | None = None  # what its user asked for in this tick
     commanded: XY | None = None  # what it was given
@@ -39,7 +48,8 @@ class TickSays(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     overruled: bool = False
     helped: bool = False
     alone: bool = False  # the user drives alone, before a handover
-    unaided: bool = False  # no policy has a say: there is none, it is off, or follows the stick whatever comes
+    # No policy has a say: there is none, it is off, or it always follows the stick.
+    unaided: bool = False
 
 
 class FilmChair(TickSays, frozen=True, kw_only=True, omit_defaults=True):
@@ -68,7 +78,8 @@ class FilmFrame(msgspec.Struct, frozen=True, kw_only=True):
     tick: int
     time_s: float
     bodies: list[_FilmBody]  # of the actors
-    rows: bytes  # (n, 11) float32 of them: position, yaw, pitch, velocity, size; 8 km from the origin to 0.5 mm
+    # (n, 11) float32 of them: position, yaw, pitch, velocity, size; 8 km from the origin to 0.5 mm
+    rows: bytes
     chairs: list[FilmChair]
     ways: dict[int, bytes] = {}  # by seat: its route's points, (n, 2) float32
     signals: tuple[SignalState, ...] = ()
@@ -77,7 +88,17 @@ class FilmFrame(msgspec.Struct, frozen=True, kw_only=True):
     def actors(self) -> tuple[ActorState, ...]:
         """The actors."""
         rows = np.frombuffer(self.rows, "<f4").reshape(len(self.bodies), 11).astype(np.float64)
-        return tuple(_actor(body, row) for body, row in zip(self.bodies, rows, strict=True))
+        return tuple(
+            ActorState(
+                **msgspec.structs.asdict(body),
+                p_W_m=row[:3],
+                yaw_rad=float(row[3]),
+                pitch_rad=float(row[4]),
+                v_W_mps=row[5:8],
+                size_lwh_m=(float(row[8]), float(row[9]), float(row[10])),
+            )
+            for body, row in zip(self.bodies, rows, strict=True)
+        )
 
     def route(self, seat: int) -> Route | None:
         """A chair's way, without the edges it goes along; None where it is not known."""
@@ -105,7 +126,7 @@ class FilmAbout(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FilmLine(msgspec.Struct, frozen=True, kw_only=True):
-    """Something to say: `kind` is "now" for what goes on, "mark" for the time line, "bad", or "end"."""
+    """A message: `kind` is "now" (what goes on), "mark" (of the time line), "bad" or "end"."""
 
     kind: str
     told: str
@@ -121,18 +142,21 @@ Said = FilmAbout | FilmFrame | FilmLine | FilmNames
 
 
 class FrameMaker:
-    """Makes frames of a world, and remembers the way that each chair was on: by an episode's end it has another one."""
+    """Makes frames of a world. It keeps each chair's way, which changes as an episode ends."""
 
     def __init__(self) -> None:
-        self._on: dict[int, tuple[Outline, Route, float]] = {}  # by seat: its box, its way, what is done of that
+        # By seat: its box, its way, and what is done of that.
+        self._on: dict[int, tuple[Outline, Route, float]] = {}
 
     def begin(self, world: World) -> None:
-        """The world before a tick: the ways that the chairs are on now, for those that end with it."""
+        """Note the ways of the chairs before a tick, for episodes that end with it."""
         self._look(world, ())
 
     def look(self, world: World) -> None:
         """The world after a tick."""
-        self._look(world, {client.seat for client in world.snapshot.clients if client.first is not None})
+        self._look(
+            world, {client.seat for client in world.snapshot.clients if client.first is not None}
+        )
 
     def frame(self, now: Snapshot, said: Mapping[int, TickSays]) -> FilmFrame:
         """A tick that `look` has seen; `said` by seat."""
@@ -144,8 +168,13 @@ class FrameMaker:
             bodies=bodies_of(now.actors),
             rows=np.array(rows, "<f4").tobytes(),
             signals=now.signals,
-            chairs=[self._chair(client, said.get(client.seat, TickSays())) for client in now.clients],
-            ways={client.seat: self._on[client.seat][1].points_W_m.astype("<f4").tobytes() for client in now.clients},
+            chairs=[
+                self._chair(client, said.get(client.seat, TickSays())) for client in now.clients
+            ],
+            ways={
+                client.seat: self._on[client.seat][1].points_W_m.astype("<f4").tobytes()
+                for client in now.clients
+            },
         )
 
     def _look(self, world: World, ended: Iterable[int]) -> None:
@@ -163,24 +192,15 @@ class FrameMaker:
             q_WB=plant.q_WB.round(_DIGITS + 2).tolist(),
             outline=outline,
             speed_mps=round(float(plant.v_B_mps[0]), _DIGITS),
-            **{name: getattr(events, name) for name in ("crashed", "arrived", "gave_up", "truncated", "step")},
+            **{
+                name: getattr(events, name)
+                for name in ("crashed", "arrived", "gave_up", "truncated", "step")
+            },
             dropped=events.crashed and events.crash_reason == DROP,
             reason=events.crash,
             done_m=round(done_m, 2),
             left_m=round(max(0.0, float(route.arc_m[-1]) - done_m), 2),
         )
-
-
-def _actor(body: _FilmBody, row: F64) -> ActorState:
-    length_m, width_m, height_m = row[8:].tolist()
-    return ActorState(
-        **msgspec.structs.asdict(body),
-        p_W_m=row[:3],
-        yaw_rad=float(row[3]),
-        pitch_rad=float(row[4]),
-        v_W_mps=row[5:8],
-        size_lwh_m=(length_m, width_m, height_m),
-    )
 
 
 def bodies_of(actors: Sequence[object]) -> list[_FilmBody]:

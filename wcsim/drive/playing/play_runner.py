@@ -1,4 +1,4 @@
-"""The process that plays a film: it takes what the source says, does to `_Player` what the page wants, and tells it."""
+"""The process that plays a film: takes it from a source, obeys the page, and reports to it."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -79,7 +79,7 @@ class _Player:
         self._owed_s = 0.0  # of the film
 
     def advance(self, now_s: float, span: range, tick_s: float) -> bool:
-        """Let time go to `now_s`; whether another frame is shown, of those of `span` that are there."""
+        """Let time go to `now_s`; whether another frame is shown. Those of `span` are there."""
         gone_s = 0.0 if self._now_s is None else min(max(0.0, now_s - self._now_s), _LATE_S)
         self._now_s, before = now_s, self.at
         if not span:
@@ -127,7 +127,9 @@ class _PlayRunner(PageRunner):
         clock: Monotonic seconds.
     """
 
-    def __init__(self, pipe: Connection, start: PlayStart, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, pipe: Connection, start: PlayStart, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         super().__init__(pipe, clock)
         self._start, self._opened = start, start.source
         self._film: TickFilm | None = None
@@ -182,24 +184,37 @@ class _PlayRunner(PageRunner):
         if self._changed or now_s - self._said_s > _TOLD_S:
             self._state(film, now_s)
         if self._ready and self._stale:
-            self._show(film)
+            moment = film.moment(player.at, self._seat, player.jumped)
+            if self._feed is not None and moment is not None:
+                self._draw(moment, self._feed)
+                player.jumped = False
 
     def _wait_s(self) -> float:
-        film = self._film
-        if film is None or self._player.paused or self._player.live or self._player.at >= film.count - 1:
+        film, player = self._film, self._player
+        if film is None or player.paused or player.live or player.at >= film.count - 1:
             return _IDLE_S
-        return min(_IDLE_S, 0.5 * film.about.tick_s / self._player.pace)
+        return min(_IDLE_S, 0.5 * film.about.tick_s / player.pace)
 
     def _take(self) -> None:
-        """What the source says, for a while."""
-        until_s = self._now_s() + _TAKE_S
+        """Receive what the source sends, for a while, and note its end."""
+        source, until_s = self._source, self._now_s() + _TAKE_S
+        if source is None:
+            return
         try:
-            while self._source is not None and self._source.poll():
-                self._said(self._source.recv())
+            while source.poll():
+                self._said(source.recv())
                 if self._now_s() > until_s:
                     return
         except (EOFError, ConnectionResetError):
-            self._source_gone()
+            # It has sent all, or died.
+            source.close()
+            self._source = None
+            if not self._ended:
+                self._ended = "The process that loads this film has ended; the terminal shows why."
+                self._say("notice", kind="bad", told=self._ended)
+            self._changed = True
+            if self._film is None or not self._film.count:
+                self._say("busy", told=self._ended, waits=False)
 
     def _said(self, said: Said) -> None:
         match said:
@@ -226,18 +241,6 @@ class _PlayRunner(PageRunner):
         else:
             self._told = said.told
 
-    def _source_gone(self) -> None:
-        """It has said all, or died."""
-        if self._source is not None:
-            self._source.close()
-        self._source = None
-        if not self._ended:
-            self._ended = "The process that loads this film has ended; the terminal shows why."
-            self._say("notice", kind="bad", told=self._ended)
-        self._changed = True
-        if self._film is None or not self._film.count:
-            self._say("busy", told=self._ended, waits=False)
-
     def _state(self, film: TickFilm, now_s: float) -> None:
         words = (self._told, self._ended, self._source is not None)
         self._say("state", **_film_state(film, self._player, self._seat, self._names, words))
@@ -246,13 +249,7 @@ class _PlayRunner(PageRunner):
             self._marked, self._marked_s = film.marked, now_s
             self._say("marks", marks=film.there)
 
-    def _show(self, film: TickFilm) -> None:
-        moment = film.moment(self._player.at, self._seat, self._player.jumped)
-        if self._feed is not None and moment is not None:
-            self._draw(moment, self._feed)
-            self._player.jumped = False
-
-    # --- what the page wants ---
+    # --- requests of the page ---
 
     def _heard(self) -> None:
         self._changed = True
@@ -262,9 +259,14 @@ class _PlayRunner(PageRunner):
         return range(0) if self._film is None else self._film.span
 
     def _pause(self, said: m.Pause) -> None:
-        """Who goes on at the end begins again."""
+        """Stand still or go on. At the end of the film, going on starts it again."""
         film, player = self._film, self._player
-        if not said.on and self._source is None and film is not None and player.at == film.count - 1:
+        if (
+            not said.on
+            and self._source is None
+            and film is not None
+            and player.at == film.count - 1
+        ):
             player.seek(film.first, film.span)
         player.pause(said.on)
 
@@ -275,8 +277,12 @@ class _PlayRunner(PageRunner):
         source = self._start.source
         if source.kind != "episode":
             raise WcsimError("this film is not of a suite; expected a result of wcsim test --suite")
-        if not any((one.policy, one.block) == (said.policy, said.block) for one in self._start.failed):
-            raise WcsimError(f"{said.policy} has no failed episode in block {said.block}; expected one of the list")
+        episode = said.policy, said.block
+        if episode not in [(one.policy, one.block) for one in self._start.failed]:
+            raise WcsimError(
+                f"{said.policy} has no failed episode in block {said.block}; "
+                "expected one of the list"
+            )
         self.close()
         self._seat = said.seat
         self._open(replace(source, policy=said.policy, block=said.block))
@@ -292,32 +298,45 @@ class _PlayRunner(PageRunner):
         self._busy(f"Opening the street{waits} ...")
         self._film, self._told, self._ended = None, "", ""
         self._names, self._marked, self._opened = {}, 0, source
-        self._source, self._process = start_piped_process(run_source, source, name="wcsim-film", daemon=True)
+        self._source, self._process = start_piped_process(
+            run_source, source, name="wcsim-film", daemon=True
+        )
 
     def _show_first(self, about: FilmAbout) -> None:
-        """A film begins: its street is loaded here too. One that cannot be drawn is told of."""
+        """Begin a film, and load its street here too. If it cannot be drawn, the page shows why."""
         try:
             street = load_street(find_town(about.town))
-            front = parse_json(CameraConfig, about.camera, "the camera of the film") if about.camera else None
+            front = None
+            if about.camera:
+                front = parse_json(CameraConfig, about.camera, "the camera of the film")
         except WcsimError as error:
             self._line(FilmLine(kind="bad", told=str(error)))
             return
         self._open_feed(street, front)
         self._film = TickFilm(about)
         self._player = _Player(live=about.live)
-        self._say("about", **_film_about(about, self._start.failed, self._opened.policy, self._opened.block))
+        self._say(
+            "about",
+            **_film_about(about, self._start.failed, self._opened.policy, self._opened.block),
+        )
         self._say("marks", marks=self._film.there)  # none yet, and no more of the film before
         self._stale = self._changed = True
 
 
-def _film_about(about: FilmAbout, failed: Sequence[FailedLine], policy: str, block: int) -> dict[str, Any]:
+def _film_about(
+    about: FilmAbout, failed: Sequence[FailedLine], policy: str, block: int
+) -> dict[str, Any]:
     """What a film is; `policy` and `block` of an episode that was asked for."""
     points = action_set(about.actions).points.tolist() if about.actions else []
     return {"film": about, "points": points, "failed": failed, "policy": policy, "block": block}
 
 
 def _film_state(
-    film: TickFilm, player: _Player, seat: int, names: Mapping[int, str], words: tuple[str, str, bool]
+    film: TickFilm,
+    player: _Player,
+    seat: int,
+    names: Mapping[int, str],
+    words: tuple[str, str, bool],
 ) -> dict[str, Any]:
     """How a film stands.
 
@@ -337,7 +356,10 @@ def _film_state(
             "name": names.get(each, f"chair {each}"),
             "chair": chairs.get(each),  # None while it is not in the street
             "kpis": m.kpis_of(
-                shot.sums.get(each, KpiTotals()), about.tick_s, knows=bool(about.actions), warns=about.warns
+                shot.sums.get(each, KpiTotals()),
+                about.tick_s,
+                knows=bool(about.actions),
+                warns=about.warns,
             ),
         }
         for each in sorted({*names, *chairs})
@@ -364,6 +386,7 @@ def _film_state(
 def _crash(film: TickFilm, at: int, seat: int) -> str:
     """What a chair has just crashed into, in words; shown a while, as a moment is easily missed."""
     for mark in reversed(film.marks):
-        if mark.seat == seat and mark.kind in ("crash", "drop") and at - CRASH_TICKS < mark.at <= at:
+        shown = 0 <= at - mark.at < CRASH_TICKS
+        if shown and mark.seat == seat and mark.kind in ("crash", "drop"):
             return mark.told
     return ""

@@ -1,11 +1,11 @@
-"""A film: the states of all ticks, packed, with their sums and marks; the oldest go when it gets too large.
+"""A film: packed states of all ticks, sums and marks; the oldest go when it gets too large.
 
 An hour of a chair in Helsinki takes some 10 MB (docs/watching.md).
 """
 
 import math
 from collections import deque
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from functools import lru_cache, partial
 from typing import Final, NamedTuple
 
@@ -26,6 +26,7 @@ MOST_MARKS: Final = 4000
 _BLOCK: Final = 128  # ticks that are packed together
 _OPEN: Final = 6  # blocks that are kept unpacked
 _LEVEL: Final = 3
+# Kinds of marks, by what they count.
 _MARKS: Final = {
     "crashes": "crash",
     "drops": "drop",
@@ -34,7 +35,7 @@ _MARKS: Final = {
     "helps": "help",
     "warnings": "warning",
     "interventions": "intervention",
-}  # kinds, by what they count
+}
 
 
 class _FilmTick(msgspec.Struct, frozen=True, array_like=True):
@@ -87,13 +88,26 @@ class TickFilm:
         return [mark for mark in self.marks if mark.at >= self.first]
 
     def add(self, frame: FilmFrame) -> None:
-        """One tick more."""
+        """Add the frame of the next tick."""
         for chair in frame.chairs:
             self._count(chair)
-        self._newest.append(_FilmTick(frame, {chair.seat: self._sums[chair.seat] for chair in frame.chairs}))
+        self._newest.append(
+            _FilmTick(frame, {chair.seat: self._sums[chair.seat] for chair in frame.chairs})
+        )
         self.count += 1
-        if len(self._newest) == _BLOCK:
-            self._pack()
+        if len(self._newest) < _BLOCK:
+            return
+        # The block is full: pack it, and drop the oldest blocks when all of them are too large.
+        packed = zstandard.ZstdCompressor(level=_LEVEL).compress(
+            msgspec.msgpack.encode(self._newest)
+        )
+        self._blocks[self.count // _BLOCK - 1] = packed
+        self.packed_bytes += len(packed)
+        self._newest = []
+        while self.packed_bytes > self._most_bytes and len(self._blocks) > 1:
+            oldest = next(iter(self._blocks))
+            self.packed_bytes -= len(self._blocks.pop(oldest))
+            self.first = (oldest + 1) * _BLOCK
 
     def mark(self, kind: str, told: str) -> None:
         """Mark the place where the next frame will be, for all chairs."""
@@ -102,7 +116,9 @@ class TickFilm:
     def shot(self, at: int) -> _FilmTick:
         """A frame. Raises ProtocolError for a number that is not there."""
         if at not in self.span:
-            raise ProtocolError(f"the film has no step {at}; expected {self.first} to {self.count - 1}")
+            raise ProtocolError(
+                f"the film has no step {at}; expected {self.first} to {self.count - 1}"
+            )
         block, row = divmod(at, _BLOCK)
         if block == self.count // _BLOCK:
             return self._newest[row]
@@ -132,21 +148,16 @@ class TickFilm:
             done_m=chair.done_m,
         )
 
-    def _pack(self) -> None:
-        packed = zstandard.ZstdCompressor(level=_LEVEL).compress(msgspec.msgpack.encode(self._newest))
-        self._blocks[self.count // _BLOCK - 1] = packed
-        self.packed_bytes += len(packed)
-        self._newest = []
-        while self.packed_bytes > self._most_bytes and len(self._blocks) > 1:
-            oldest = next(iter(self._blocks))
-            self.packed_bytes -= len(self._blocks.pop(oldest))
-            self.first = (oldest + 1) * _BLOCK
-
     def _count(self, chair: FilmChair) -> None:
-        """Mark and count what a chair did; as in a test, nothing before a handover is judged."""
+        """Mark and count what a chair did; as in a test, nothing before a handover counts."""
         seat, happened = chair.seat, happened_in(chair)
         before = self._sums.get(seat, KpiTotals())
-        self._mark(chair, before.starting(happened))
+        started = before.starting(happened)
+        for name, kind in _MARKS.items():
+            # A fall is one mark: a drop, and not a crash too.
+            if name in started and not (kind == "crash" and "drops" in started):
+                told = chair.reason if kind in ("crash", "drop") else ""
+                self._note(_FilmMark(self.count, seat, kind, told))
         alone = (0 if chair.step == 1 else self._alone.get(seat, 0)) + chair.alone
         steps = chair.step - alone if chair.step >= 0 else before.steps + (not chair.alone)
         # Between the user's stick and the chair's, KPI 1's; None where one of them is not known.
@@ -156,12 +167,6 @@ class TickFilm:
         after = before.plus(happened, distance, chair.speed_mps, steps)
         ends = chair.crashed or chair.truncated
         self._alone[seat], self._sums[seat] = (0, after.after_episode()) if ends else (alone, after)
-
-    def _mark(self, chair: FilmChair, begun: Set[str]) -> None:
-        for name, kind in _MARKS.items():
-            if name in begun and not (kind == "crash" and "drops" in begun):  # a fall is one mark
-                told = chair.reason if kind in ("crash", "drop") else ""
-                self._note(_FilmMark(self.count, chair.seat, kind, told))
 
     def _note(self, mark: _FilmMark) -> None:
         self.marks.append(mark)

@@ -1,4 +1,4 @@
-"""Records a drive: each tick goes into a file from which the same drive is made again (docs/recordings.md)."""
+"""Records a drive in a file from which the same drive can be simulated (docs/recordings.md)."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -10,12 +10,23 @@ from wcsim.core.reading import escape
 from wcsim.drive.driven import DriveRecord, DriverKind, EventKind
 from wcsim.drive.session import DriveSession
 from wcsim.errors import WcsimError
-from wcsim.log.records import MOST_DETAIL, Admitted, Dismissed, DriveTick, Header, Input, Note, with_fields
+from wcsim.log.records import (
+    MOST_DETAIL,
+    Admitted,
+    Dismissed,
+    DriveTick,
+    Header,
+    Input,
+    Note,
+    with_fields,
+)
 from wcsim.log.writer import LogWriter
 from wcsim.users.profiles import profile_to_json
 
 _NO_NAME = "all names for a further file are taken; start wcsim drive again"
-_RECORDED = "the simulated user is a recording, which a drive cannot be replayed with; choose a profile"
+_RECORDED = (
+    "the simulated user is a recording, which a drive cannot be replayed with; choose a profile"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,12 +48,16 @@ class SessionRecorder:
         tell: Called when a recording begins and ends.
     """
 
-    def __init__(self, session: DriveSession, names: Iterator[Path], tell: Callable[[RecorderStatus], object]) -> None:
+    def __init__(
+        self, session: DriveSession, names: Iterator[Path], tell: Callable[[RecorderStatus], object]
+    ) -> None:
         self._session, self._names, self._tell = session, names, tell
         self._recorder: LogWriter | None = None
-        self._header: Header | None = None  # of the world that is driven; None where nothing is kept of it
+        # Of the world that is driven; None where nothing is kept of it.
+        self._header: Header | None = None
         self._file = ""
-        self._waiting: list[Input | Note] = []  # from before the first tick, when there is no file yet
+        # From before the first tick, when there is no file yet.
+        self._waiting: list[Input | Note] = []
         self._before, self._kept = session.ticks, 0
         self._begin()
 
@@ -52,8 +67,29 @@ class SessionRecorder:
             self.close()
             self._before = record.tick
             self._begin()
-        elif self._header is not None:
-            self._keep(record)
+            return
+        if self._header is None:
+            return
+        if isinstance(record, Admitted):
+            user = self._session.world.seats[0].profile
+            if user is None:
+                self._stop(_RECORDED)
+                return
+            self._write(Dismissed(epoch=0, tick=record.tick, seat=0))
+            record = with_fields(record, spec=replace(record.spec, profile=profile_to_json(user)))
+        elif isinstance(record, Note):
+            record = with_fields(record, detail=record.detail[:MOST_DETAIL])
+        self._write(record)
+
+    def close(self) -> None:
+        """The file is whole; a second call does nothing."""
+        self._header = None
+        if self._recorder is not None:
+            recorder, self._recorder = self._recorder, None
+            recorder.close()
+            minutes = self._kept * self._session.tick_s / 60.0
+            log = f"wrote {escape(self._file)}: {self._kept} ticks, {minutes:.1f} min"
+            self._tell(RecorderStatus(on=False, file=self._file, log=log))
 
     # --- files ---
 
@@ -62,8 +98,9 @@ class SessionRecorder:
         session, place = self._session, self._session.place
         beside = session.world.seats[0].profile
         self._file, self._waiting, self._kept = "", [], 0
-        # A recorded user beside the person may be the one of a generated scene, which is made again with it.
-        sits_in_scene = place.scene and not place.start.profile and session.profile == place.spec.profile
+        # A recorded user beside the person may belong to a generated scene, which makes it again.
+        same_user = session.profile == place.spec.profile
+        sits_in_scene = place.scene and not place.start.profile and same_user
         if beside is None and not sits_in_scene:
             self._stop(_RECORDED)
             return
@@ -76,9 +113,11 @@ class SessionRecorder:
             episode=place.episode,
             scene=place.scene,
         )
-        sits = "" if beside is None else profile_to_json(beside)  # "": who sits in the scene, which is made again
+        # "" is the user of the scene, which is made again.
+        sits = "" if beside is None else profile_to_json(beside)
         self._waiting += first_inputs(replace(place.spec, profile=sits), place.seed)
-        if not session.assistance.on:  # of what was switched before this world, its file would not know
+        # The file would not know what was switched before this world.
+        if not session.assistance.on:
             self._note_first(EventKind.ASSISTANCE, "off")
         if session.shape != (1.0, 1.0):
             self._note_first(EventKind.STICK_SHAPE, session.shape_told)
@@ -94,25 +133,12 @@ class SessionRecorder:
         for event in self._waiting:
             self._recorder.append(event)
         self._waiting = []
-        self._tell(
-            RecorderStatus(on=True, file=self._file, log=f"recording to {escape(path)}: {self._session.place.told}")
-        )
+        log = f"recording to {escape(path)}: {self._session.place.told}"
+        self._tell(RecorderStatus(on=True, file=self._file, log=log))
         return self._recorder
 
-    def _keep(self, record: DriveRecord) -> None:
-        if isinstance(record, Admitted):
-            user = self._session.world.seats[0].profile
-            if user is None:
-                self._stop(_RECORDED)
-                return
-            self._write(Dismissed(epoch=0, tick=record.tick, seat=0))
-            record = with_fields(record, spec=replace(record.spec, profile=profile_to_json(user)))
-        elif isinstance(record, Note):
-            record = with_fields(record, detail=record.detail[:MOST_DETAIL])
-        self._write(record)
-
     def _write(self, record: DriveRecord | Dismissed) -> None:
-        """Write it, with number and time in the file's world; what comes before the first tick waits for that."""
+        """Write it, with number and time in the file's world; before its first tick it waits."""
         place: dict[str, float] = {"tick": record.tick - self._before}
         if isinstance(record, DriveTick | Note):
             place["time_s"] = place["tick"] * self._session.tick_s
@@ -134,14 +160,5 @@ class SessionRecorder:
         """Nothing more is kept of this world; what was, is."""
         self.close()
         told = "Recording has stopped" if self._file else "This drive is not recorded"
-        self._tell(RecorderStatus(on=False, file=self._file, told=f"{told}: {why}", log=f"not recording: {why}"))
-
-    def close(self) -> None:
-        """The file is whole; a second call does nothing."""
-        self._header = None
-        if self._recorder is not None:
-            recorder, self._recorder = self._recorder, None
-            recorder.close()
-            minutes = self._kept * self._session.tick_s / 60.0
-            log = f"wrote {escape(self._file)}: {self._kept} ticks, {minutes:.1f} min"
-            self._tell(RecorderStatus(on=False, file=self._file, log=log))
+        log = f"not recording: {why}"
+        self._tell(RecorderStatus(on=False, file=self._file, told=f"{told}: {why}", log=log))

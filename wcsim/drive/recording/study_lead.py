@@ -1,4 +1,4 @@
-"""A study that can begin, and what leads a participant through it: what comes next, when a drive is over.
+"""Opens a study, and leads a participant through it: what is next, when a drive is over.
 
 A block's figures are a row of the study's table.
 """
@@ -40,6 +40,8 @@ from wcsim.log.drive import read_wcsim_version
 from wcsim.towns.scenario.town import expanded
 
 _MOST_PARTICIPANTS: Final = 9999
+_COUNTED: Final = ("arrivals", "given_up", "crashes", "warnings", "interventions", "helps")
+_NO_ANSWER: Final = -1
 _SHIPPED: Final = Path(__file__).parents[2] / "config" / "presets" / "studies"
 
 
@@ -69,11 +71,6 @@ class OpenStudy:
         return order_words(self.file, self.participant)
 
 
-def _shipped_studies() -> tuple[str, ...]:
-    """The studies that come with wcsim."""
-    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
-
-
 def open_study(
     name_or_path: str, participant: int, out: Path | None = None, named: str = "", network: str = ""
 ) -> OpenStudy:
@@ -83,34 +80,43 @@ def open_study(
         name_or_path: One that comes with wcsim, or a file.
         participant: From 1 on.
         out: Where results go; studies/NAME where it is not said.
-        named: The policy of the file, named again by who starts it: one that is somebody's class runs as code.
+        named: The policy of the file, named again by who starts it, as a class runs as code.
         network: An own network of the policy, which runs as code too.
 
     Raises:
-        ConfigError: The file is none, something in it is not there, or the table is another study's.
+        ConfigError: It is no study, a part of it is missing, or the table is another study's.
         TownError: There is no such town.
         PolicyError: There is no such policy, or it has no such level.
     """
     if not 1 <= participant <= _MOST_PARTICIPANTS:
         raise ConfigError(f"--participant {participant}: expected 1 to {_MOST_PARTICIPANTS}")
-    path = _SHIPPED / f"{name_or_path}.toml" if name_or_path in _shipped_studies() else expanded(name_or_path)
+    path = (
+        _SHIPPED / f"{name_or_path}.toml"
+        if name_or_path in _shipped_studies()
+        else expanded(name_or_path)
+    )
     if not is_file(path):
         known = ", ".join(_shipped_studies())
-        raise ConfigError(f"--study {escape(name_or_path)}: there is no such study; expected {known}, or a TOML file")
+        raise ConfigError(
+            f"--study {escape(name_or_path)}: there is no such study; "
+            f"expected {known}, or a TOML file"
+        )
     text = read_text(path, SETTINGS)
     file = parse(StudyFile, parse_toml(text, escape(path), SETTINGS), escape(path))
     digest = hashlib.sha256(text.encode()).hexdigest()
-    # Another policy than the file's is refused, and a class that would be loaded without being named again.
+    # Another policy than the file's is refused, and a class that is not named again.
     if named and named != file.policy:
         told = f"{escape(path)} says policy = {escape(file.policy)!r}"
         raise ConfigError(f"--policy {escape(named)} with --study: {told}; leave --policy out")
     if parse_policy_name(file.policy).kind == "class" and not named:
         raise ConfigError(
-            f"{escape(path)}: its policy is the class {escape(file.policy)}, and loading it runs its code; if you "
-            f"trust it, name it: --policy {shlex.quote(escape(file.policy))}"
+            f"{escape(path)}: its policy is the class {escape(file.policy)}, and loading it runs "
+            f"its code; if you trust it, name it: --policy {shlex.quote(escape(file.policy))}"
         )
     place_of_results = out or Path("studies") / file.name
-    study = OpenStudy(file=file, sha256=digest, participant=participant, out=place_of_results, network=network)
+    study = OpenStudy(
+        file=file, sha256=digest, participant=participant, out=place_of_results, network=network
+    )
     for place in (*file.places, *([file.practice_place] if file.practice_place else [])):
         check_recordable(checked(study_start(file, place, network)))
     _require_levels(study, escape(path))
@@ -118,69 +124,20 @@ def open_study(
     return study
 
 
-def _participant_rows(study: OpenStudy) -> tuple[dict[str, str], ...]:
-    """The participant's rows. Raises ConfigError for a table of another study."""
-    rows = read_rows(study.table, table_columns(study.file))
-    other = next((row for row in rows if row["study_sha256"] != study.sha256[:12]), None)
-    if other is not None:
-        raise ConfigError(
-            f"{escape(study.table)}: belongs to another study file ({escape(other['study_sha256'], 12)}, this is "
-            f"{study.sha256[:12]}); expected the same file: restore it, or name another folder with --out"
-        )
-    return tuple(row for row in rows if row["participant"] == str(study.participant))
-
-
 def study_start(file: StudyFile, place: StudyPlace, network: str) -> DriveStart:
-    """What is opened for a place; an episode of a suite has its own user. `network` is as in `OpenStudy`."""
+    """What a place opens; a suite's episode has its own user. `network` is as in `OpenStudy`."""
     drives = DriveStart(policy=file.policy, network=network)
     if place.suite:
         return replace(drives, profile="", suite=place.suite, block=place.block, seat=place.seat)
     return replace(drives, town=place.town, profile=file.profile, seed=place.seed)
 
 
-def _require_levels(study: OpenStudy, where: str) -> None:
-    """Set every level once. Raises PolicyError or ConfigError for one that the policy does not have."""
-    file = study.file
-    blocks = [*file.blocks, *([file.practice] if file.practice else [])]
-    wanted = {block.level: block.name for block in blocks if block.level is not None}
-    policy = open_named_policy(file.policy, resolve_policy_config(file.policy, PRESET, ()), 0, study.network or None)
-    try:
-        for level, name in wanted.items():
-            levels = policy.levels if isinstance(policy, Levelled) else None
-            if levels is None or not min(levels) <= level <= max(levels):
-                told = "no levels" if levels is None else f"levels of {min(levels):g} to {max(levels):g}"
-                raise ConfigError(
-                    f"{where}: block {name} has level {level:g}, but policy {policy.name} has {told}; change "
-                    "the level or the policy"
-                )
-    finally:
-        close = getattr(policy, "close", None)
-        if close is not None:
-            close()
-
-
-_COUNTED: Final = ("arrivals", "given_up", "crashes", "warnings", "interventions", "helps")
-
-
-def _head(study: OpenStudy, block: str) -> dict[str, str]:
-    return {
-        "study": study.file.name,
-        "study_sha256": study.sha256[:12],
-        "wcsim": read_wcsim_version(),
-        "participant": str(study.participant),
-        "order": study.order,
-        "block": block,
-    }
-
-
-_NO_ANSWER = -1
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyHands:
     """What a study needs of whoever runs the drives."""
 
-    open: Callable[[DriveStart, Path], DriveSession]  # in the stead of the one before, kept in that file; WcsimError
+    # Replaces the drive before and records into that file; may raise WcsimError.
+    open: Callable[[DriveStart, Path], DriveSession]
     close: Callable[[], None]  # the drive that is open, if any
     show: Callable[[dict[str, Any]], object]  # as of `step_view`
     say: Callable[[str], object]  # a line for whoever started the study
@@ -201,7 +158,7 @@ class StudyLead:
         done = {row["block"] for row in _participant_rows(study)}
         steps = remaining_steps(study.file, study.participant, done)
         parts = dict.fromkeys(step.part for step in steps if step.part is not None)
-        # The figures of parts that were driven in a sitting before, whose questions were not answered.
+        # The figures of parts that were driven before, but whose questions were not answered.
         self._rows = dict[str, Row]()
         for part in parts:
             path = self._result(part)
@@ -209,13 +166,17 @@ class StudyLead:
                 if row["study_sha256"] == study.sha256[:12]:
                     self._rows[part.block.name] = row
             if part.block.name in self._rows:
-                hands.say(f"{part.block.name} was driven before; only its questions are left: {escape(path)}")
+                hands.say(
+                    f"{part.block.name} was driven before; "
+                    f"only its questions are left: {escape(path)}"
+                )
         self._steps = remaining_steps(study.file, study.participant, done, self._rows)
         self._at, self._view = 0, dict[str, Any]()
         self._session: DriveSession | None = None
         self._file, self._failed, self._rested_s = "", False, 0.0
-        self._shown_s = -1  # whole seconds that are left of a drive, or of a rest, as they were shown last
-        left = [part.block.name for part in dict.fromkeys(step.part for step in self._steps) if part is not None]
+        # Whole seconds that are left of a drive or a rest, as they were shown last.
+        self._shown_s = -1
+        left = dict.fromkeys(step.part.block.name for step in self._steps if step.part is not None)
         hands.say(
             f"study {study.file.name}, participant {study.participant}: order {study.order}; "
             f"to do: {', '.join(left) or 'nothing'}; table {escape(study.table)}"
@@ -236,7 +197,7 @@ class StudyLead:
         self._enter()
 
     def go_on(self, step: int) -> None:
-        """The participant presses the button of this step, or ends a drive early; an older step's does nothing.
+        """The participant presses this step's button or ends a drive; old steps are ignored.
 
         Raises:
             WcsimError: It may not be pressed yet, or a question's answers are due.
@@ -256,7 +217,7 @@ class StudyLead:
         self._next()
 
     def answer(self, step: int, answers: Sequence[int]) -> None:
-        """Write the answers to this step's questions, numbers from 0 on, `_NO_ANSWER` for one that is left out.
+        """Write the answers to this step's questions: numbers from 0; `_NO_ANSWER` skips.
 
         Raises:
             WcsimError: They are not this step's, or could not be written.
@@ -271,17 +232,27 @@ class StudyLead:
             words = answer_choices(question)
             if not _NO_ANSWER <= number < len(words):
                 raise WcsimError(
-                    f"got answer {number} to question {question.name}; expected 0 to {len(words) - 1}: reload the page"
+                    f"got answer {number} to question {question.name}; "
+                    f"expected 0 to {len(words) - 1}: reload the page"
                 )
             told[question.column] = "" if number == _NO_ANSWER else words[number]
         part = self.step.part
         self._write(_head(self._study, END) if part is None else self._rows[part.block.name], told)
+        # The table has the part's figures now, so their file goes: a part that is driven again, as
+        # after a pilot, must not count as driven.
         if part is not None:
-            self._forget(part)
+            path = self._result(part)
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                self._hands.say(
+                    f"{escape(path)}: cannot be removed ({error.strerror}); "
+                    "its row is in the table: remove the file"
+                )
         self._next()
 
     def wait(self) -> None:
-        """Time goes by without a tick: a page that comes in the middle of a rest is told what is left of it."""
+        """Time passes without a tick: a page that opens during a rest shows what is left of it."""
         left_s = max(0.0, self._rested_s - self._hands.clock())
         if self.step.kind is StepKind.REST and math.ceil(left_s) != self._shown_s:
             self._tell_rest(left_s)
@@ -330,9 +301,12 @@ class StudyLead:
         try:
             if path is None:
                 raise WcsimError(
-                    f"{escape(self._study.folder / name)}: all file names for this part are taken; remove old attempts"
+                    f"{escape(self._study.folder / name)}: all file names for this part are taken; "
+                    "remove old attempts"
                 )
-            session = self._hands.open(study_start(self._study.file, part.place, self._study.network), path)
+            session = self._hands.open(
+                study_start(self._study.file, part.place, self._study.network), path
+            )
             if part.block.level is not None:
                 session.set_level(part.block.level)
             session.assist(part.block.assistance)
@@ -377,30 +351,26 @@ class StudyLead:
         self._hands.close()
         try:
             after = self._steps[self._at + 1]
-            if after.kind is StepKind.ASK and after.part is part and part.number:  # and not the questions of the end
+            # Questions at the end of the study have no part.
+            if after.kind is StepKind.ASK and after.part is part and part.number:
                 append_row(self._result(part), table_columns(self._study.file), row)
             else:
                 self._write(row, {})
         except WcsimError as error:
-            self._hands.say(f"{error}; the results of this part: {', '.join(map(str, row.values()))}")
-        self._next()
-
-    def _forget(self, part: StudyPart) -> None:
-        """The figures are in the table: who drives this part anew, as after a pilot, is not taken for having driven."""
-        path = self._result(part)
-        try:
-            path.unlink(missing_ok=True)
-        except OSError as error:
             self._hands.say(
-                f"{escape(path)}: cannot be removed ({error.strerror}); its row is in the table: remove the file"
+                f"{error}; the results of this part: {', '.join(map(str, row.values()))}"
             )
+        self._next()
 
     def _result(self, part: StudyPart) -> Path:
         return self._study.folder / f"{part.number}-{part.block.name}.csv"
 
     def _write(self, row: Row, answers: Row) -> None:
         append_row(self._study.table, table_columns(self._study.file), {**row, **answers})
-        self._hands.say(f"participant {self._study.participant}: {row['block']} saved in {escape(self._study.table)}")
+        self._hands.say(
+            f"participant {self._study.participant}: "
+            f"{row['block']} saved in {escape(self._study.table)}"
+        )
 
     # --- what is shown ---
 
@@ -408,9 +378,11 @@ class StudyLead:
         session, part = self._session, self.step.part
         if session is None or part is None:
             return
-        left_s, arrivals = max(0.0, 60.0 * part.block.minutes - session.counted_s), part.block.arrivals
+        left_s = max(0.0, 60.0 * part.block.minutes - session.counted_s)
+        arrivals = part.block.arrivals
         self._shown_s = int(left_s)
-        self._show(left_s=left_s, arrivals_left=None if arrivals is None else arrivals - session.metrics.arrivals)
+        arrivals_left = None if arrivals is None else arrivals - session.metrics.arrivals
+        self._show(left_s=left_s, arrivals_left=arrivals_left)
 
     def _tell_rest(self, left_s: float) -> None:
         self._shown_s = math.ceil(left_s)
@@ -419,3 +391,59 @@ class StudyLead:
     def _show(self, **changes: object) -> None:
         self._view = {**self._view, **changes}
         self._hands.show(self._view)
+
+
+def _shipped_studies() -> tuple[str, ...]:
+    """The studies that come with wcsim."""
+    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
+
+
+def _participant_rows(study: OpenStudy) -> tuple[dict[str, str], ...]:
+    """The participant's rows. Raises ConfigError for a table of another study."""
+    rows = read_rows(study.table, table_columns(study.file))
+    other = next((row for row in rows if row["study_sha256"] != study.sha256[:12]), None)
+    if other is not None:
+        raise ConfigError(
+            f"{escape(study.table)}: belongs to another study file "
+            f"({escape(other['study_sha256'], 12)}, this is {study.sha256[:12]}); "
+            "expected the same file: restore it, or name another folder with --out"
+        )
+    return tuple(row for row in rows if row["participant"] == str(study.participant))
+
+
+def _require_levels(study: OpenStudy, where: str) -> None:
+    """Set each level once. Raises PolicyError or ConfigError: the policy does not have it."""
+    file = study.file
+    blocks = [*file.blocks, *([file.practice] if file.practice else [])]
+    wanted = {block.level: block.name for block in blocks if block.level is not None}
+    policy = open_named_policy(
+        file.policy, resolve_policy_config(file.policy, PRESET, ()), 0, study.network or None
+    )
+    try:
+        for level, name in wanted.items():
+            levels = policy.levels if isinstance(policy, Levelled) else None
+            if levels is None or not min(levels) <= level <= max(levels):
+                told = (
+                    "no levels"
+                    if levels is None
+                    else f"levels of {min(levels):g} to {max(levels):g}"
+                )
+                raise ConfigError(
+                    f"{where}: block {name} has level {level:g}, but policy {policy.name} has "
+                    f"{told}; change the level or the policy"
+                )
+    finally:
+        close = getattr(policy, "close", None)
+        if close is not None:
+            close()
+
+
+def _head(study: OpenStudy, block: str) -> dict[str, str]:
+    return {
+        "study": study.file.name,
+        "study_sha256": study.sha256[:12],
+        "wcsim": read_wcsim_version(),
+        "participant": str(study.participant),
+        "order": study.order,
+        "block": block,
+    }

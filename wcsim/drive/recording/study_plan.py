@@ -1,4 +1,4 @@
-"""A study for one participant: the order of its blocks, the table of its results, and what the page shows."""
+"""A study for one participant: order of blocks, table of results, and what the page shows."""
 
 import contextlib
 import csv
@@ -18,8 +18,9 @@ from wcsim.errors import ConfigError, DiskFullError
 END = "end"
 """The row of a table that holds the answers after all blocks."""
 COLUMNS: Final = (
-    *("study", "study_sha256", "wcsim", "participant", "order", "part", "block", "assistance", "level"),
-    *("policy", "town", "seed", "episode", "recording", "ended", "minutes", "kpi1", "kpi2", "distance_m", "speed_mps"),
+    *("study", "study_sha256", "wcsim", "participant", "order"),
+    *("part", "block", "assistance", "level", "policy", "town", "seed", "episode", "recording"),
+    *("ended", "minutes", "kpi1", "kpi2", "distance_m", "speed_mps"),
     *("arrivals", "given_up", "crashes", "warnings", "interventions", "helps", "overrulings"),
     "policy_failed",
 )
@@ -29,7 +30,8 @@ _MOST_ROWS: Final = 200_000
 
 Row = Mapping[str, str]
 _SAVED = (
-    "Saved under a number: how you moved the stick, where the chair drove, what the assistance did, and your answers. "
+    "Saved under a number: how you moved the stick, where the chair drove, "
+    "what the assistance did, and your answers. "
     "Your name is not saved, and no picture or sound of you is recorded."
 )
 
@@ -62,43 +64,13 @@ class StudyStep:
     part: StudyPart | None = None  # of the whole study where it is None
 
 
-def _latin_square(count: int) -> tuple[tuple[int, ...], ...]:
-    """Orders of so many things in which each is as often at each place, and as often right after each other one.
-
-    Williams' design: `count` orders for an even number, twice as many for an odd one.
-
-    >>> _latin_square(4)
-    ((0, 1, 3, 2), (1, 2, 0, 3), (2, 3, 1, 0), (3, 0, 2, 1))
-    >>> _latin_square(3)
-    ((0, 1, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0), (0, 2, 1), (1, 0, 2))
-    """
-    first = [0]
-    for step in range(1, count):
-        first.append((step + 1) // 2 if step % 2 else count - step // 2)
-    rows = [tuple((item + shift) % count for item in first) for shift in range(count)]
-    return tuple(rows if count % 2 == 0 else rows + [row[::-1] for row in rows])
-
-
-def _study_parts(study: StudyFile, participant: int) -> tuple[StudyPart, ...]:
-    """The blocks in this participant's order, the practice first; `participant` is 1 or more."""
-    orders = _latin_square(len(study.blocks)) if study.balanced else (tuple(range(len(study.blocks))),)
-    order = orders[(participant - 1) % len(orders)]
-    found = [
-        StudyPart(number=at + 1, block=study.blocks[index], place=study.places[at % len(study.places)])
-        for at, index in enumerate(order)
-    ]
-    if study.practice is not None:
-        place = study.practice_place or study.places[0]
-        found.insert(0, StudyPart(number=0, block=study.practice, place=place))
-    return tuple(found)
-
-
 def order_words(study: StudyFile, participant: int) -> str:
     """The order of the blocks that count, in a word.
 
     >>> from wcsim.config.study import StudyBlock, StudyPlace
     >>> blocks = tuple(StudyBlock(name=name, title=name, assistance=False) for name in "abc")
-    >>> study = StudyFile(name="s", title="s", told=(), places=(StudyPlace(town="t"),), blocks=blocks)
+    >>> places = (StudyPlace(town="t"),)
+    >>> study = StudyFile(name="s", title="s", told=(), places=places, blocks=blocks)
     >>> order_words(study, 1), order_words(study, 4), order_words(study, 7)
     ('a>b>c', 'c>b>a', 'a>b>c')
     """
@@ -129,7 +101,10 @@ def remaining_steps(
         if steps and part.number > 1 and study.pause_s > 0.0:
             steps.append(StudyStep(kind=StepKind.REST))
         if part.block.name not in driven:
-            steps += [StudyStep(kind=StepKind.READ, part=part), StudyStep(kind=StepKind.DRIVE, part=part)]
+            steps += [
+                StudyStep(kind=StepKind.READ, part=part),
+                StudyStep(kind=StepKind.DRIVE, part=part),
+            ]
         if asks and part.number:
             steps.append(StudyStep(kind=StepKind.ASK, part=part))
     if END not in done and any(question.after == "end" for question in study.questions):
@@ -174,16 +149,19 @@ def read_rows(path: Path, columns: Sequence[str]) -> tuple[dict[str, str], ...]:
         lines = []
     if not lines or tuple(lines[0]) != tuple(columns):
         raise ConfigError(
-            f"{escape(path)}: its columns are not those of this study; expected the table of the same study file: "
-            "name another folder with --out"
+            f"{escape(path)}: its columns are not those of this study; "
+            "expected the table of the same study file: name another folder with --out"
         )
     if len(lines) > _MOST_ROWS or any(len(line) != len(columns) for line in lines):
-        raise ConfigError(f"{escape(path)}: is not a table with {len(columns)} columns; expected one that wcsim wrote")
+        raise ConfigError(
+            f"{escape(path)}: is not a table with {len(columns)} columns; "
+            "expected one that wcsim wrote"
+        )
     return tuple(dict(zip(columns, line, strict=True)) for line in lines[1:])
 
 
 def append_row(path: Path, columns: Sequence[str], row: Row) -> None:
-    """Write a row at a table's end, with the columns' names where it is a new one; whole, or not at all.
+    """Append a row to a table, whole or not at all; a new table begins with the column names.
 
     Raises:
         ConfigError: The file cannot be opened.
@@ -193,13 +171,18 @@ def append_row(path: Path, columns: Sequence[str], row: Row) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
     except OSError as error:
-        raise ConfigError(f"{escape(path)}: cannot be written ({error.strerror}); choose another --out") from None
+        raise ConfigError(
+            f"{escape(path)}: cannot be written ({error.strerror}); choose another --out"
+        ) from None
     try:
         with contextlib.suppress(OSError):  # a file system without locks
-            fcntl.flock(handle, fcntl.LOCK_EX)  # another participant's drive may write on it at the same time
+            # Another participant's drive may write into it at the same time.
+            fcntl.flock(handle, fcntl.LOCK_EX)
         end = os.fstat(handle).st_size
-        torn = end > 0 and os.pread(handle, 1, end - 1) != b"\n"  # somebody's editor has saved it without its end
-        data = (b"\n" if torn else b"" if end else _line(columns)) + _line([row.get(name, "") for name in columns])
+        # An editor may have saved it without the end of its last line.
+        truncated = end > 0 and os.pread(handle, 1, end - 1) != b"\n"
+        before = b"\n" if truncated else b"" if end else _line(columns)
+        data = before + _line([row.get(name, "") for name in columns])
         try:
             written = os.pwrite(handle, data, end)
             reason = "" if written == len(data) else "only a part was written"
@@ -208,17 +191,12 @@ def append_row(path: Path, columns: Sequence[str], row: Row) -> None:
         if reason:
             os.ftruncate(handle, end)
             raise DiskFullError(
-                f"{escape(path)}: a row could not be written ({reason}); free some disk space, and press again"
+                f"{escape(path)}: a row could not be written ({reason}); "
+                "free some disk space, and press again"
             )
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _line(words: Sequence[str]) -> bytes:
-    line = io.StringIO()
-    csv.writer(line, lineterminator="\n").writerow(words)
-    return line.getvalue().encode()
 
 
 def step_view(study: StudyFile, step: StudyStep, number: int, participant: int) -> dict[str, Any]:
@@ -230,7 +208,8 @@ def step_view(study: StudyFile, step: StudyStep, number: int, participant: int) 
     if step.kind is StepKind.WELCOME:
         told, button = (*study.told, _SAVED), "Continue"
     elif step.kind is StepKind.READ and part is not None:
-        title, told, button = part.block.title, (*part.block.told, _how_long(part.block)), "Start driving"
+        title, button = part.block.title, "Start driving"
+        told = (*part.block.told, _how_long(part.block))
     elif step.kind is StepKind.DRIVE and part is not None:
         title = part.block.title
     elif step.kind is StepKind.ASK:
@@ -263,9 +242,52 @@ def step_view(study: StudyFile, step: StudyStep, number: int, participant: int) 
     }
 
 
+def _study_parts(study: StudyFile, participant: int) -> tuple[StudyPart, ...]:
+    """The blocks in this participant's order, the practice first; `participant` is 1 or more."""
+    count = len(study.blocks)
+    orders = _latin_square(count) if study.balanced else (tuple(range(count)),)
+    order = orders[(participant - 1) % len(orders)]
+    found = [
+        StudyPart(
+            number=at + 1, block=study.blocks[index], place=study.places[at % len(study.places)]
+        )
+        for at, index in enumerate(order)
+    ]
+    if study.practice is not None:
+        place = study.practice_place or study.places[0]
+        found.insert(0, StudyPart(number=0, block=study.practice, place=place))
+    return tuple(found)
+
+
+def _latin_square(count: int) -> tuple[tuple[int, ...], ...]:
+    """Orders in which each thing is equally often at each place, and right after each other one.
+
+    Williams' design: `count` orders for an even number, twice as many for an odd one.
+
+    >>> _latin_square(4)
+    ((0, 1, 3, 2), (1, 2, 0, 3), (2, 3, 1, 0), (3, 0, 2, 1))
+    >>> _latin_square(3)
+    ((0, 1, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0), (0, 2, 1), (1, 0, 2))
+    """
+    first = [0]
+    for step in range(1, count):
+        first.append((step + 1) // 2 if step % 2 else count - step // 2)
+    rows = [tuple((item + shift) % count for item in first) for shift in range(count)]
+    return tuple(rows if count % 2 == 0 else rows + [row[::-1] for row in rows])
+
+
+def _line(words: Sequence[str]) -> bytes:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(words)
+    return line.getvalue().encode()
+
+
 def _how_long(block: StudyBlock) -> str:
     minutes = f"{block.minutes:g} minute{'' if block.minutes == 1.0 else 's'}"
     if block.arrivals is None:
         return f"You drive for {minutes}. You can pause at any time; pauses do not count."
     places = pluralize(block.arrivals, "place")
-    return f"You drive until you have arrived at {places}, for at most {minutes}. You can pause at any time."
+    return (
+        f"You drive until you have arrived at {places}, for at most {minutes}. "
+        "You can pause at any time."
+    )

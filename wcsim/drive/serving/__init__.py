@@ -1,1 +1,1 @@
-"""The way to browsers: files of the page, one socket a page, who may come in; what is driven is the runner's."""
+"""Serves browsers: the page's files, a socket per page, access control. `drive/runner` drives."""

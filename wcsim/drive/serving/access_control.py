@@ -8,7 +8,7 @@ from typing import Final
 from urllib.parse import parse_qs, urlsplit
 
 LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
-_ANYWHERE: Final = ("0.0.0.0", "::")  # noqa: S104 - named by the person who starts it, and only with a token
+_ANYWHERE: Final = ("0.0.0.0", "::")  # noqa: S104 - only on request, and only with a token
 _HOST: Final = re.compile(r"(?P<name>\[[0-9a-fA-F:]{2,45}\]|[A-Za-z0-9.-]{1,253})(?::[0-9]{1,5})?")
 _TOKEN_BYTES: Final = 24
 
@@ -22,21 +22,22 @@ def new_token() -> str:
 class AccessControl:
     """Accepts requests that know the printed address.
 
-    A page of another site can make a browser connect to this machine, and can give its own name this machine's address:
-    so the name by which a request came has to be one of ours, and the page that it came from has to be that name's.
+    A page of another site can make a browser connect to this machine. It can also give its own name
+    this machine's address. So the host name of a request has to be one of ours, and its origin has
+    to be that host.
     """
 
-    host: str  # that the server listens at
+    host: str  # at which the server listens
     token: str = ""  # required of every page where there is one
 
     def refusal(self, host: str | None, origin: str | None, path: str, *, socket: bool) -> str:
-        """Why a request is refused, "" for one that is let in.
+        """Why a request is refused; "" for one that is accepted.
 
         Args:
             host: Its header Host.
-            origin: Its header Origin, None where there is none.
+            origin: Its header Origin; None without one.
             path: With its query.
-            socket: It wants to speak, not only to read a file of the page.
+            socket: It asks for a socket, not only for a file of the page.
         """
         found = _HOST.fullmatch(host or "")
         if found is None or not self._is_ours(found["name"].strip("[]").lower()):
@@ -59,12 +60,13 @@ class AccessControl:
 
 
 def content_policy(host: str) -> str:
-    """What the page may load, as a header: its own files and its own socket, nothing of anybody else's.
+    """What the page may load, as a header: only its own files and its own socket.
 
     >>> "connect-src 'self' ws://127.0.0.1:8080" in content_policy("127.0.0.1:8080")
     True
     """
     return (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
-        f"connect-src 'self' ws://{host}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        f"connect-src 'self' ws://{host}; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )

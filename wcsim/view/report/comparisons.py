@@ -15,7 +15,12 @@ from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.view.report.pages import page
 
 RIVALS: Final = ("follow", "dwa")  # the user alone, and the classical controller
-_NO_HELP: Final = (UNAIDED, "zero", "random", *UPPER_BOUNDS)  # they assist nobody, or could not be built
+_NO_HELP: Final = (
+    UNAIDED,
+    "zero",
+    "random",
+    *UPPER_BOUNDS,
+)  # they assist nobody, or could not be built
 _MOST_LINES, _LINE = 4, 100  # of 80 characters where names are as short as `shipped`
 _MOST_POLICIES, _MOST_ALIKE = 3, 3
 _NUMBER: Final = re.compile(r"-\d+$")
@@ -44,7 +49,7 @@ class Paired:
 def compared(result: TestResult) -> tuple[Paired, ...]:
     """Every policy with each rival that was driven, by part, all parts first."""
     rivals = [name for name in RIVALS if name in result.episodes]
-    # Runs that differ by the number at their end are trainings of one kind, and compared as one, too.
+    # Runs that differ only by a number at the end are trainings of one kind, compared as one too.
     kinds: dict[str, list[str]] = {name: [name] for name in result.episodes}
     for name in result.episodes:
         if _NUMBER.search(name):
@@ -59,10 +64,19 @@ def compared(result: TestResult) -> tuple[Paired, ...]:
     return tuple(item for item in found if item is not None)
 
 
-def _paired(result: TestResult, kind: str, names: Sequence[str], rival: str, part: str) -> Paired | None:
-    """Trainings of one kind and a rival over the episodes of a part that all have; None without any."""
-    found = [{(e.block, e.seat): e for e in result.episodes[name] if e.counts} for name in (*names, rival)]
-    shared = [key for key, e in found[0].items() if part in ("", e.part) and all(key in each for each in found)]
+def _paired(
+    result: TestResult, kind: str, names: Sequence[str], rival: str, part: str
+) -> Paired | None:
+    """Trainings of one kind and a rival over a part's common episodes; None without any."""
+    found = [
+        {(e.block, e.seat): e for e in result.episodes[name] if e.counts}
+        for name in (*names, rival)
+    ]
+    shared = [
+        key
+        for key, e in found[0].items()
+        if part in ("", e.part) and all(key in each for each in found)
+    ]
     if not shared:
         return None
     *own, others = ([each[key] for key in shared] for each in found)
@@ -105,9 +119,11 @@ def verdict(result: TestResult) -> str:
 
 
 def _told_apart(result: TestResult) -> dict[str, Any]:
-    """The policies that could be built, compared with the one of the highest score, and those that are like it."""
+    """Policies that could be built, compared with that of the highest score; those like it."""
     scores = {
-        row.policy: row.score for row in result.pooled if row.policy not in UPPER_BOUNDS and row.score is not None
+        row.policy: row.score
+        for row in result.pooled
+        if row.policy not in UPPER_BOUNDS and row.score is not None
     }
     best, *others = sorted(scores, key=lambda name: -scores[name]) or [""]
     pairs = {name: _paired(result, best, [best], name, "") for name in others}
@@ -116,7 +132,9 @@ def _told_apart(result: TestResult) -> dict[str, Any]:
         "oracles": any(row.policy in UPPER_BOUNDS for row in result.pooled),
         "few": all(pair is None or pair.interval is None for pair in pairs.values()),
         # in the order of the tables, which is no ranking
-        "alike": [name for name in scores if (pair := pairs.get(name)) is None or not pair.separated],
+        "alike": [
+            name for name in scores if (pair := pairs.get(name)) is None or not pair.separated
+        ],
         "most_alike": _MOST_ALIKE,
         "fewest": FEWEST,
     }

@@ -1,4 +1,4 @@
-"""The failures of a test, worst first: what happened, whose fault it was, the command that repeats it, and pictures."""
+"""The failures of a test, worst first: what happened, by whose fault, its command, pictures."""
 
 import math
 import shlex
@@ -78,8 +78,16 @@ def failures_of(result: TestResult, folder: Path) -> tuple[FailedEpisode, ...]:
             if not reason:
                 continue
             twin = alone.get((record.block, record.seat))
-            # The command that drives it again, typed where the test was: policies and lists have names from there.
-            words = ["wcsim", "test", policy, "--suite", result.list_name, "--play", f"{record.block}.{record.seat}"]
+            # The command that drives it again, for the folder of the test, from which names count.
+            words = [
+                "wcsim",
+                "test",
+                policy,
+                "--suite",
+                result.list_name,
+                "--play",
+                f"{record.block}.{record.seat}",
+            ]
             words += ["--out", result.out or folder.resolve().name]
             words += ["--preset", result.preset] if result.preset != "quick" else []
             words += ["--network", result.network] if result.network else []
@@ -96,7 +104,9 @@ def failures_of(result: TestResult, folder: Path) -> tuple[FailedEpisode, ...]:
                     command=shlex.join(words),
                 )
             )
-    return tuple(sorted(found, key=lambda one: (one.severity, -(one.speed_mps or 0.0), one.policy, one.key)))
+    return tuple(
+        sorted(found, key=lambda one: (one.severity, -(one.speed_mps or 0.0), one.policy, one.key))
+    )
 
 
 def _judged(record: EpisodeRecord) -> tuple[str, str, int]:
@@ -119,7 +129,8 @@ def fate(record: EpisodeRecord) -> str:
     """What became of an episode, in words."""
     if record.status == CRASHED:
         with_ = f" with {record.partner}" if record.partner else ""
-        return f"{record.reason}{with_} ({_FAULTS.get(record.fault, record.fault)}) after {record.time_s:.0f} s"
+        fault = _FAULTS.get(record.fault, record.fault)
+        return f"{record.reason}{with_} ({fault}) after {record.time_s:.0f} s"
     said = "no crash" if record.status == TIMED_OUT and record.part not in ON_THE_WAY else ""
     said = said or ("arrived" if record.status == FINISHED else record.status.replace("_", " "))
     return f"{said}, {pluralize(record.red_entries, 'red light')}" if record.red_entries else said
@@ -128,7 +139,7 @@ def fate(record: EpisodeRecord) -> str:
 def _last_speed_mps(record: EpisodeRecord) -> float | None:
     """Mean speed in about the last second; None where there is no path.
 
-    A path has the place after each whole second, and the last one (`kpi.sum_kpi_steps`): at 12.3 s 13 places.
+    A path has the place after each whole second, and the last (`kpi.sum_kpi_steps`): 13 at 12.3 s.
     """
     path_m, time_s = record.path_m, record.time_s
     if len(path_m) < 2 or time_s <= 0.0:
@@ -189,8 +200,8 @@ def illustrated(
     Args:
         order: How the test was driven, see `order_of`.
         failures: Those to show.
-        own: Policies and networks of the user's own, module:Class, as they were named to this command: a folder that
-            somebody else made does not decide which code runs here.
+        own: The user's own policies and networks, module:Class, as named to this command: a folder
+            that somebody else made does not decide which code runs here.
         jobs: Processes.
         done: Called with the blocks that are done, and how many there are.
     """
@@ -207,7 +218,9 @@ def illustrated(
         for (policy, block), found in blocks.items()
     ]
     wheres = list(blocks)
-    for number, (place, pictures) in enumerate(run_in_process_pool(_illustrate, pieces, jobs), start=1):
+    for number, (place, pictures) in enumerate(
+        run_in_process_pool(_illustrate, pieces, jobs), start=1
+    ):
         found_all |= {(*wheres[place], seat): picture for seat, picture in pictures.items()}
         done(number, len(pieces))
     return found_all
@@ -224,11 +237,19 @@ def order_of(result: TestResult, folder: Path, own: Collection[str]) -> SuiteOrd
     suite = open_suite(str(drawn) if moved else result.list_name)
     if suite.sha256 != result.list_sha256:
         raise ConfigError(
-            f"list {result.list_name} has the hash {suite.sha256[:12]}; expected {result.list_sha256[:12]}, that of "
-            "the test: run the test again, or use the version of wcsim that made it"
+            f"list {result.list_name} has the hash {suite.sha256[:12]}; "
+            f"expected {result.list_sha256[:12]}, that of the test: "
+            "run the test again, or use the version of wcsim that made it"
         )
     network = result.network if result.network in own else ""
-    return SuiteOrder(suite=suite, out=folder, preset=result.preset, settings=result.changed, network=network, forks=0)
+    return SuiteOrder(
+        suite=suite,
+        out=folder,
+        preset=result.preset,
+        settings=result.changed,
+        network=network,
+        forks=0,
+    )
 
 
 def _illustrate(wanted: tuple[Piece, Iterable[EpisodeRecord]]) -> dict[int, Illustration]:
@@ -241,15 +262,25 @@ def _illustrate(wanted: tuple[Piece, Iterable[EpisodeRecord]]) -> dict[int, Illu
 
         def draw(world: World, steps: Sequence[PlayedStep]) -> Illustration:
             pictures, moments = StreetPictures(world.street), []
-            above = around_picture(MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps[-1], steps)
+            above = around_picture(
+                MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps[-1], steps
+            )
             last = len(steps) - 1
-            places = np.rint(np.linspace(max(0, last - _LAST_S / tick_s), last, _PICTURES)).astype(int)
+            places = np.rint(np.linspace(max(0, last - _LAST_S / tick_s), last, _PICTURES)).astype(
+                int
+            )
             for place in dict.fromkeys(places.tolist()):
                 step, before_s = steps[place], round((last - place) * tick_s, 3)
                 behind = _encoded(".jpg", pictures.behind(played_moment(step), *_SIZE_PX).picture)
-                seen = b"" if STATE_SENSE in step.seen else _encoded(".png", seen_picture(step.seen, config))
+                seen = (
+                    b""
+                    if STATE_SENSE in step.seen
+                    else _encoded(".png", seen_picture(step.seen, config))
+                )
                 moments.append(_SeenMoment(before_s, step.speed_mps, *sticks(step), behind, seen))
-            return Illustration(seen=tuple(moments), street_png=_encoded(".png", above), near=near(steps[-1])[:4])
+            return Illustration(
+                seen=tuple(moments), street_png=_encoded(".png", above), near=near(steps[-1])[:4]
+            )
 
         found = play(piece, tuple(kept), round(_TRAIL_S / tick_s), draw)
     except WcsimError as error:

@@ -1,4 +1,4 @@
-"""Figures as SVG, the same bytes each time and fit for a paper; those of a test with their numbers as CSV.
+"""Figures as SVG, the same bytes each time, fit for a paper; of a test with numbers as CSV.
 
 It is the one module that draws with matplotlib.
 """
@@ -67,7 +67,9 @@ _SOLID_RGB: Final = (196, 190, 188)  # houses, walls, trunks
 _OTHER_RGB: Final = (248, 248, 248)
 _NAME: Final = re.compile(r"[\w-]+")
 _LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
-_Ground = tuple[U8, tuple[float, float, float, float]]  # (H, W, 3) from above; west, east, south and north edge
+_Ground = tuple[
+    U8, tuple[float, float, float, float]
+]  # (H, W, 3) from above; west, east, south and north edge
 
 
 class Curve(NamedTuple):
@@ -88,11 +90,15 @@ def _colour_of(place: int) -> str:
 
 @contextmanager
 def _drawn(name: str, out: io.BytesIO, height_in: float = _HEIGHT_IN) -> Iterator[Axes]:
-    """The axes of a figure with one panel, written to `out` at the end; names inside it come from `name` alone."""
+    """Axes of a figure with one panel, written to `out` at the end; `name` makes names in it."""
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         figure = Figure(figsize=(_WIDTH_IN, height_in), layout="constrained")
         yield figure.add_subplot()
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        figure.savefig(
+            out,
+            format="svg",
+            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
+        )
 
 
 def _ground_around(town: str, points_m: Sequence[tuple[float, float]]) -> _Ground | None:
@@ -103,7 +109,10 @@ def _ground_around(town: str, points_m: Sequence[tuple[float, float]]) -> _Groun
         street = load_street(find_town(town))
     except WcsimError:
         return None
-    (west, south), (east, north) = np.min(points_m, axis=0) - _MARGIN_M, np.max(points_m, axis=0) + _MARGIN_M
+    (west, south), (east, north) = (
+        np.min(points_m, axis=0) - _MARGIN_M,
+        np.max(points_m, axis=0) + _MARGIN_M,
+    )
     cell = max(east - west, north - south) / _MOST_CELLS
     columns, rows = max(1, round((east - west) / cell)), max(1, round((north - south) / cell))
     at_x = west + (np.arange(columns) + 0.5) * (east - west) / columns
@@ -111,10 +120,14 @@ def _ground_around(town: str, points_m: Sequence[tuple[float, float]]) -> _Groun
     table = np.full((256, 3), _OTHER_RGB, np.uint8)
     table[list(_GROUND_RGB)] = list(_GROUND_RGB.values())
     strips = []
-    for first in range(0, rows, _ROWS_AT_ONCE):  # of few points each: the street asks all its tiles about every point
+    for first in range(
+        0, rows, _ROWS_AT_ONCE
+    ):  # of few points each: the street asks all its tiles about every point
         points = np.stack(np.meshgrid(at_x, at_y[first : first + _ROWS_AT_ONCE]), axis=-1)
         is_free = street.grid.clearance_at(points)[..., None] > 0.0
-        strips.append(np.where(is_free, table[street.grid.class_at(points)], _SOLID_RGB).astype(np.uint8))
+        strips.append(
+            np.where(is_free, table[street.grid.class_at(points)], _SOLID_RGB).astype(np.uint8)
+        )
     return np.vstack(strips), (float(west), float(east), float(south), float(north))
 
 
@@ -122,13 +135,17 @@ def figures_of(result: TestResult, folder: Path) -> list[Exhibit]:
     """All figures of a test, which lies in this folder, in the order of the page."""
     places = {name: place for place, name in enumerate(result.episodes)}
     return [
-        *([_help_figure(result, places)] if any(row.judged_episodes for row in result.pooled) else []),
+        *(
+            [_help_figure(result, places)]
+            if any(row.judged_episodes for row in result.pooled)
+            else []
+        ),
         *_towns(result, places, folder / TOWNS),
     ]
 
 
 def _help_figure(result: TestResult, places: Mapping[str, int]) -> Exhibit:
-    """The share of drives with a crash over unneeded interventions a drive; each as value, low and high."""
+    """Share of drives with a crash over unneeded interventions a drive: value, low, high."""
     known: dict[str, F64] = {}
     for row in result.pooled:
         if row.judged_episodes:
@@ -139,7 +156,12 @@ def _help_figure(result: TestResult, places: Mapping[str, int]) -> Exhibit:
     out = io.BytesIO()
     with _drawn("help", out, 4.0) as axes:
         for line in _levels_of(known):
-            axes.plot(*np.stack([known[name][:, 0] for name in line], 1), color="#888888", linewidth=1.0, zorder=1)
+            axes.plot(
+                *np.stack([known[name][:, 0] for name in line], 1),
+                color="#888888",
+                linewidth=1.0,
+                zorder=1,
+            )
         for name, (x, y) in known.items():
             axes.errorbar(
                 x[:1],
@@ -160,7 +182,10 @@ def _help_figure(result: TestResult, places: Mapping[str, int]) -> Exhibit:
     return Exhibit(
         name="help",
         columns=("policy", *(f"{what}{end}" for what in ("unneeded", "crashes") for end in ends)),
-        rows=[[name, *(None if np.isnan(v) else round(v, 6) for v in both.flat)] for name, both in known.items()],
+        rows=[
+            [name, *(None if np.isnan(v) else round(v, 6) for v in both.flat)]
+            for name, both in known.items()
+        ],
         svg=out.getvalue(),
     )
 
@@ -180,7 +205,7 @@ def _levels_of(names: Iterable[str]) -> list[list[str]]:
 
 
 def _towns(result: TestResult, places: dict[str, int], made: Path) -> list[Exhibit]:
-    """A map a town, some of which lie in `made`; generated scenes have coordinates of their own, and no map."""
+    """A map for each town, some in `made`; generated scenes have own coordinates, and no map."""
     here: dict[str, list[tuple[str, EpisodeRecord]]] = {}
     for name, episodes in result.episodes.items():
         for e in episodes:
@@ -190,7 +215,7 @@ def _towns(result: TestResult, places: dict[str, int], made: Path) -> list[Exhib
 
 
 def _way_rows(name: str, e: EpisodeRecord) -> list[list[Cell]]:
-    """Where a chair was after each second, and where its episode ended, as rows of the map's CSV."""
+    """Where a chair was each second, and where its episode ended: rows of the map's CSV."""
     who: list[Cell] = [name, e.block, e.seat]
     way: list[list[Cell]] = [
         [*who, "way", min(float(second), e.time_s), round(x, 1), round(y, 1)]
@@ -199,14 +224,22 @@ def _way_rows(name: str, e: EpisodeRecord) -> list[list[Cell]]:
     return [*way, [*who, "crash" if e.own else "end", e.time_s, *e.end_m]]
 
 
-def _town(town: str, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[str, int], made: Path) -> Exhibit:
+def _town(
+    town: str, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[str, int], made: Path
+) -> Exhibit:
     points = [point for _, e in here for point in (*e.path_m, *([e.end_m] if e.own else []))]
     own = made / town
     ground = _ground_around(str(own) if _NAME.fullmatch(town) and own.is_dir() else town, points)
-    missing = "" if ground is not None or not points else " The ground is not drawn: this town is not on this machine."
+    missing = (
+        ""
+        if ground is not None or not points
+        else " The ground is not drawn: this town is not on this machine."
+    )
     out = io.BytesIO()
     image, (west, east, south, north) = ground or (None, (0.0, 1.0, 0.0, 1.0))
-    with _drawn(f"town-{town}", out, 0.9 + 4.1 * min(2.0, max(0.3, (north - south) / (east - west)))) as axes:
+    with _drawn(
+        f"town-{town}", out, 0.9 + 4.1 * min(2.0, max(0.3, (north - south) / (east - west)))
+    ) as axes:
         if image is not None:
             axes.imshow(image, extent=(west, east, south, north), interpolation="nearest")
         axes.grid(visible=False)
@@ -214,15 +247,17 @@ def _town(town: str, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[
     return Exhibit(
         name=f"town-{town}",
         title=f"Paths in {town}",
-        says="Paths of all episodes in this town, one colour per policy; crosses are own crashes. Generated "
-        f"scenes have their own streets and are not shown.{missing}",
+        says="Paths of all episodes in this town, one colour per policy; crosses are own crashes. "
+        f"Generated scenes have their own streets and are not shown.{missing}",
         columns=("policy", "block", "seat", "what", "s", "x_m", "y_m"),
         rows=[row for name, e in here for row in _way_rows(name, e)],
         svg=out.getvalue(),
     )
 
 
-def _draw_ways(axes: Axes, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[str, int]) -> None:
+def _draw_ways(
+    axes: Axes, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[str, int]
+) -> None:
     """Ways and crashes of all policies."""
     policies = dict.fromkeys(name for name, _ in here)
     for name in policies:
@@ -232,28 +267,51 @@ def _draw_ways(axes: Axes, here: Sequence[tuple[str, EpisodeRecord]], places: Ma
                 axes.plot(*np.transpose(e.path_m), color=colour, linewidth=0.7, alpha=0.75)
         ends = np.reshape([e.end_m for e in driven if e.own], (-1, 2))
         label = f"{_short(name)}: {pluralize(len(ends), 'own crash')}"
-        axes.scatter(ends[:, 0], ends[:, 1], marker="x", s=22, linewidths=1.3, color=colour, label=label)
+        axes.scatter(
+            ends[:, 0], ends[:, 1], marker="x", s=22, linewidths=1.3, color=colour, label=label
+        )
     axes.set_aspect("equal")
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     _legend(axes, len(policies))
 
 
-def curve_chart(name: str, label: str, curves: Sequence[Curve], line: tuple[float, str] | None = None) -> bytes:
-    """Curves over training steps, with a line across and what it is; values that are all positive begin at zero."""
+def curve_chart(
+    name: str, label: str, curves: Sequence[Curve], line: tuple[float, str] | None = None
+) -> bytes:
+    """Curves over training steps, with a named line across; positive values begin at zero."""
     out = io.BytesIO()
     with _drawn(name, out) as axes:
         if line is not None:
             axes.axhline(line[0], color="#222222", linewidth=0.9, linestyle=":", label=line[1])
         for place, curve in enumerate(curves):
             colour = _colour_of(place)
-            axes.plot(curve.steps, curve.values, ".", color=colour, markersize=4, markeredgewidth=0, alpha=0.45)
-            axes.plot(curve.steps, curve.means, color=colour, linewidth=1.3, label=_short(curve.name))
-            if curve.switch is not None:  # several at one step: their dashes stand beside each other
+            axes.plot(
+                curve.steps,
+                curve.values,
+                ".",
+                color=colour,
+                markersize=4,
+                markeredgewidth=0,
+                alpha=0.45,
+            )
+            axes.plot(
+                curve.steps, curve.means, color=colour, linewidth=1.3, label=_short(curve.name)
+            )
+            if (
+                curve.switch is not None
+            ):  # several at one step: their dashes stand beside each other
                 dashes = (3.0 * place, (3.0, 3.0 * max(1, len(curves) - 1)))
                 axes.axvline(curve.switch, color=colour, linewidth=0.9, linestyle=dashes)
             if curve.crossing is not None and line is not None:
-                axes.plot([curve.crossing], [line[0]], "v", color=colour, markersize=7, markeredgecolor="#222222")
+                axes.plot(
+                    [curve.crossing],
+                    [line[0]],
+                    "v",
+                    color=colour,
+                    markersize=7,
+                    markeredgecolor="#222222",
+                )
         if all(value >= 0.0 for curve in curves for value in curve.values):
             axes.set_ylim(bottom=0.0)
         axes.set_xlim(left=0.0)
@@ -264,8 +322,10 @@ def curve_chart(name: str, label: str, curves: Sequence[Curve], line: tuple[floa
     return out.getvalue()
 
 
-def motion_chart(path: Path, form: str, title: str, step_s: float, measured: F64, made: Mapping[str, F64]) -> None:
-    """Write a picture of speed and turn rate (n, 2) over time, measured and as some models make them.
+def motion_chart(
+    path: Path, form: str, title: str, step_s: float, measured: F64, made: Mapping[str, F64]
+) -> None:
+    """Write a picture of speed and turn rate (n, 2) over time, measured and by models.
 
     Args:
         path: The file.
@@ -278,15 +338,21 @@ def motion_chart(path: Path, form: str, title: str, step_s: float, measured: F64
     with mpl.rc_context({**_STYLE, "svg.hashsalt": title}):
         figure = Figure(figsize=(2.0 * _WIDTH_IN, 1.5 * _HEIGHT_IN), layout="constrained")
         panels = figure.subplots(2, 1, sharex=True)
-        for axis, (panel, label) in enumerate(zip(panels, ("speed, m/s", "turn rate, rad/s"), strict=True)):
+        for axis, (panel, label) in enumerate(
+            zip(panels, ("speed, m/s", "turn rate, rad/s"), strict=True)
+        ):
             for place, (name, motion) in enumerate({"measured": measured, **made}.items()):
                 at_s = step_s * np.arange(len(motion))
-                panel.plot(at_s, motion[:, axis], color=_colour_of(place), linewidth=1.2, label=name)
+                panel.plot(
+                    at_s, motion[:, axis], color=_colour_of(place), linewidth=1.2, label=name
+                )
             panel.set_ylabel(label)
         panels[0].set_title(title, fontsize=9, loc="left")
         panels[0].legend(loc="upper right", ncols=3)
         panels[1].set_xlabel("time, s")
-        figure.savefig(path, format=form, dpi=120, metadata={"Date": None} if form == "svg" else None)
+        figure.savefig(
+            path, format=form, dpi=120, metadata={"Date": None} if form == "svg" else None
+        )
 
 
 def _legend(axes: Axes, entries: int) -> None:
@@ -299,6 +365,6 @@ def _legend(axes: Axes, entries: int) -> None:
 
 
 def _short(name: str, most: int = 28) -> str:
-    """A name that fits: the end of a path says which it is. Matplotlib leaves names out that begin with "_"."""
+    """A name that fits, a path's end; Matplotlib leaves names out that begin with "_"."""
     name = f" {name}" if name.startswith("_") else name
     return name if len(name) <= most else f"…{name[-(most - 1) :]}"

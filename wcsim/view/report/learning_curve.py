@@ -1,4 +1,4 @@
-"""What a training's logs say of its steps and episodes, running means, and where KPI 1 came below its limit."""
+"""A training's steps and episodes by its logs, running means, where KPI 1 passed its limit."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -59,8 +59,12 @@ class Training:
 
     manifests: Mapping[str, Mapping[str, Any]]  # by the run's folder
     clients: Mapping[str, tuple[TrainedEpisode, ...]]  # in seat order
-    steps: Mapping[str, tuple[TrainedSteps, ...]] = field(default_factory=dict)  # of the same clients
-    rounds: Mapping[str, tuple[RoundMetricsRow, ...]] = field(default_factory=dict)  # of runs of danger networks
+    steps: Mapping[str, tuple[TrainedSteps, ...]] = field(
+        default_factory=dict
+    )  # of the same clients
+    rounds: Mapping[str, tuple[RoundMetricsRow, ...]] = field(
+        default_factory=dict
+    )  # of runs of danger networks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,8 +79,8 @@ class _LimitCrossing:
     def told(self) -> str:
         """In words.
 
-        >>> _LimitCrossing(step=3200, last=0.1, left=9000).told()
-        'KPI 1 (mean of 2000 steps) is below 0.1768 from step 3200 on, above it again since step 9000'
+        >>> print(_LimitCrossing(step=3200, last=0.1, left=900).told())
+        KPI 1 (mean of 2000 steps) is below 0.1768 from step 3200 on, above it again since step 900
         """
         mean = f"KPI 1 (mean of {KPI1_STEPS} steps)"
         if self.last is None:
@@ -99,7 +103,11 @@ def read_training(folders: Sequence[Path]) -> Training:
         manifest = read_run_json(folder, MANIFEST)
         manifests[str(folder)] = manifest
         for name, home in _homes(folder, manifest):
-            label = name if len(folders) == 1 or "clients" not in manifest else f"{folder.resolve().name}/{name}"
+            label = (
+                name
+                if len(folders) == 1 or "clients" not in manifest
+                else f"{folder.resolve().name}/{name}"
+            )
             label = str(home) if label in clients or label in rounds else label
             if is_file(home / METRICS) and has_metrics_per_round(home / METRICS):
                 rounds[label] = read_round_metrics(home / METRICS)
@@ -111,15 +119,22 @@ def read_training(folders: Sequence[Path]) -> Training:
 
 def _homes(folder: Path, manifest: Mapping[str, Any]) -> Iterable[tuple[str, Path]]:
     names = manifest.get("clients")
-    return [(folder.resolve().name, folder)] if names is None else [(name, folder / name) for name in names]
+    return (
+        [(folder.resolve().name, folder)]
+        if names is None
+        else [(name, folder / name) for name in names]
+    )
 
 
 def _rows(path: Path, columns: tuple[str, ...], kind: type[_Row]) -> tuple[_Row, ...]:
-    """The rows of a log; none where there is no such file. Raises PolicyError for one that has no finite numbers."""
+    """The rows of a log, none without a file. Raises PolicyError: a number is not finite."""
     found, kinds = [], get_type_hints(kind)
     for row in read_metrics(path, columns) if is_file(path) else []:
         try:
-            read = {each.name: _READ[kinds[each.name]](row[_LOGGED.get(each.name, each.name)]) for each in fields(kind)}
+            read = {
+                each.name: _READ[kinds[each.name]](row[_LOGGED.get(each.name, each.name)])
+                for each in fields(kind)
+            }
         except ValueError:
             where = f"{path}: is damaged at step {escape_repr(row['step'])}"
             raise PolicyError(f"{where}; expected finite numbers") from None
@@ -149,7 +164,10 @@ def running_means(values: Sequence[float], over: int = OVER) -> list[float]:
     [1.0, 2.0, 4.0]
     """
     firsts = (max(0, place + 1 - over) for place in range(len(values)))
-    return [math.fsum(values[first : place + 1]) / (place + 1 - first) for place, first in enumerate(firsts)]
+    return [
+        math.fsum(values[first : place + 1]) / (place + 1 - first)
+        for place, first in enumerate(firsts)
+    ]
 
 
 def crossing(rows: Sequence[TrainedSteps]) -> _LimitCrossing:
@@ -161,20 +179,24 @@ def crossing(rows: Sequence[TrainedSteps]) -> _LimitCrossing:
         return _LimitCrossing(step=None, last=last)
     left = rows[within[-1] + 1].step if within[-1] + 1 < len(rows) else None
     first = rows[within[0]]
-    # A run that went on counts from 0 again: what the sittings before it took is in their last rows.
+    # A run that was resumed counts from 0: the time before is in the last rows before that.
     elapsed_s = first.elapsed_s + sum(
-        row.elapsed_s for row, after in pairwise(rows[: within[0] + 1]) if after.elapsed_s < row.elapsed_s
+        row.elapsed_s
+        for row, after in pairwise(rows[: within[0] + 1])
+        if after.elapsed_s < row.elapsed_s
     )
     return _LimitCrossing(step=first.step, last=last, left=left, elapsed_s=elapsed_s)
 
 
 def kpi1_of(run: Path) -> float:
-    """The mean of KPI 1 over the last 2,000 steps of a run's first phase, or over all where there are fewer.
+    """The mean of KPI 1 over the last 2,000 steps of a run's first phase, or all if fewer.
 
     Raises:
         PolicyError: None is logged, or the log is damaged.
     """
     found = [row.kpi1 for row in _rows(run / STEPS, STEP_COLUMNS, TrainedSteps) if row.phase == 1]
     if not found:
-        raise PolicyError(f"{run / STEPS}: no row of the first phase; expected a run of {ROW_STEPS} steps or more")
+        raise PolicyError(
+            f"{run / STEPS}: no row of the first phase; expected a run of {ROW_STEPS} steps or more"
+        )
     return running_means(found)[-1]

@@ -1,4 +1,4 @@
-"""Pages of HTML by templates that escape all text, what they show with its numbers as CSV, and their files."""
+"""Pages of HTML by templates that escape all text, their exhibits as CSV, and their files."""
 
 import base64
 import csv
@@ -22,7 +22,7 @@ _FIGURES: Final = "report"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exhibit:
-    """Numbers that a page shows, in a table or drawn. What every page says of them stands in its template."""
+    """Numbers that a page shows, in a table or drawn. Words for all pages are in templates."""
 
     name: str
     columns: Sequence[str]
@@ -33,7 +33,7 @@ class Exhibit:
 
     @property
     def stem(self) -> str:
-        """The name of its files, which lead out of no folder, whatever others call a town or a part."""
+        """The name of its files. It leads out of no folder, whatever a town or part is called."""
         return re.sub(r"[^A-Za-z0-9_-]+", "-", self.name)[:_MOST_STEM]
 
     @property
@@ -50,7 +50,9 @@ def _data_uri(data: bytes, kind: str) -> str:
 
 
 TEMPLATES: Final = jinja2.Environment(
-    loader=jinja2.FileSystemLoader([Path(__file__).parent / name for name in ("templates", "assets")]),
+    loader=jinja2.FileSystemLoader(
+        [Path(__file__).parent / name for name in ("templates", "assets")]
+    ),
     autoescape=jinja2.select_autoescape(disabled_extensions=("txt.jinja",), default=True),
     undefined=jinja2.StrictUndefined,
     trim_blocks=True,

@@ -1,4 +1,4 @@
-"""The page of a test, on a suite or at the end of a demo: tables, figures, failures, and what its words mean."""
+"""The page of a test, of a suite or demo: tables, figures, failures, and what words mean."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,7 +8,14 @@ from typing import Final, get_type_hints
 from wcsim.agents.evaluation.suite.intervals import FEWEST
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import COLUMNS, GROUPS, LOOK, Column, ResultRow, filled_columns
+from wcsim.agents.evaluation.suite.rows import (
+    COLUMNS,
+    GROUPS,
+    LOOK,
+    Column,
+    ResultRow,
+    filled_columns,
+)
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import pluralize
@@ -28,14 +35,20 @@ def _result_table(result: TestResult, part: str) -> Exhibit:
     return Exhibit(
         name=f"table-{part or 'all'}",
         columns=headings,
-        rows=[[row.policy, *(cell for column in COLUMNS for cell in _plain(row, column))] for row in rows],
+        rows=[
+            [row.policy, *(cell for column in COLUMNS for cell in _plain(row, column))]
+            for row in rows
+        ],
     )
 
 
 def _comparison_table(pairs: Sequence[Paired]) -> Exhibit:
-    """Policies against their rivals over the same episodes: those of all parts, and part by part."""
+    """Policies against their rivals over the same episodes, of all parts and of each."""
     columns = ("policy", "rival", "part", "episodes", "saved", "lost", "mcnemar_p", "difference")
-    rows = [[*(getattr(pair, name) for name in columns), *(pair.interval or (None, None))] for pair in pairs]
+    rows = [
+        [*(getattr(pair, name) for name in columns), *(pair.interval or (None, None))]
+        for pair in pairs
+    ]
     return Exhibit(name="comparison", columns=(*columns, "low", "high"), rows=rows)
 
 
@@ -74,10 +87,13 @@ def write_suite_page(
     }
     text = page(
         "suite.jinja",
-        title=f"{result.suite} {result.set}: {pluralize(len(result.episodes), 'policy', 'policies')}",
+        title=f"{result.suite} {result.set}: "
+        f"{pluralize(len(result.episodes), 'policy', 'policies')}",
         result=result,
         verdict=verdict(result),
-        groups={question: filled_columns(columns, result.pooled) for question, columns in GROUPS.items()},
+        groups={
+            question: filled_columns(columns, result.pooled) for question, columns in GROUPS.items()
+        },
         users=sorted({e.profile for episodes in result.episodes.values() for e in episodes}),
         recorded=RECORDED,
         pairs=pairs,
@@ -94,10 +110,23 @@ def write_suite_page(
 
 
 def _failed(failures: Sequence[FailedEpisode]) -> Exhibit:
-    columns = ("policy", "block", "seat", "part", "town", "x_m", "y_m", "user", "reason", "whose", "partner")
+    columns = (
+        "policy",
+        "block",
+        "seat",
+        "part",
+        "town",
+        "x_m",
+        "y_m",
+        "user",
+        "reason",
+        "whose",
+        "partner",
+    )
     rows = [
-        [failure.policy, *failure.key, record.part, record.town, *record.end_m, record.profile, failure.reason,
-         failure.whose, record.partner, failure.speed_mps, failure.severity, failure.unaided, failure.command]
+        [failure.policy, *failure.key, record.part, record.town, *record.end_m, record.profile,
+         failure.reason, failure.whose, record.partner, failure.speed_mps, failure.severity,
+         failure.unaided, failure.command]
         for failure in failures
         for record in (failure.record,)
     ]  # fmt: skip
@@ -107,7 +136,11 @@ def _failed(failures: Sequence[FailedEpisode]) -> Exhibit:
 
 def _episodes(result: TestResult) -> Exhibit:
     """Every episode of every policy, for other tools."""
-    plain = [name for name, kind in get_type_hints(EpisodeRecord).items() if kind in (int, float, str, bool)]
+    plain = [
+        name
+        for name, kind in get_type_hints(EpisodeRecord).items()
+        if kind in (int, float, str, bool)
+    ]
     rows = [
         [name, *(getattr(e, key) for key in plain), *e.end_m, len(e.interventions),
          None if e.score is None else round(e.score, 6)]
@@ -131,14 +164,21 @@ def write_demo_page(folder: Path, result: TestResult, **shown: object) -> Path:
     Args:
         folder: Where it goes.
         result: Of the demo's test.
-        shown: How the network `learned` in a sentence, the film (`film_webm`) and what it says (`film_says`), the
-            block and seat that it shows (`key`), the families of scenes that are in the training too (`trained`), and
-            `commands` to go on with, each with what it does.
+        shown: How the network `learned` in a sentence; the film (`film_webm`), what it says
+            (`film_says`), and the block and seat that it shows (`key`); the families of scenes that
+            are in the training too (`trained`); `commands` to go on with, each with what it does.
 
     Raises:
         DiskFullError: It cannot be written.
     """
-    rows = [replace(row, policy=_CALLED.get(row.policy, f"with {row.policy}")) for row in result.pooled]
-    said = {"result": result, "rows": rows, "verdict": verdict(result), "look": filled_columns(LOOK[:-1], rows)}
+    rows = [
+        replace(row, policy=_CALLED.get(row.policy, f"with {row.policy}")) for row in result.pooled
+    ]
+    said = {
+        "result": result,
+        "rows": rows,
+        "verdict": verdict(result),
+        "look": filled_columns(LOOK[:-1], rows),
+    }
     text = page("demo.jinja", title="wcsim demo", **said, **shown)
     return write_page(folder, text, (), DEMO_PAGE)

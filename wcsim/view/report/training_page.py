@@ -1,6 +1,6 @@
-"""The page of a training: how each client learned to follow its user without crashes (Fig. 7a, 7b), or its rounds.
+"""The page of a training: how each client learned (Fig. 7a, 7b of the paper), or its rounds.
 
-Of several clients it says, too, which one learned the second phase, and who waited for whom.
+Of several clients it also says which one learned the second phase, and who waited for whom.
 """
 
 import math
@@ -37,9 +37,11 @@ _THOUSAND: Final = 1000.0
 
 
 def _rounds(runs: Runs) -> _Section:
-    """First what says whether the networks learned: how long they drove between crashes, beside the users alone."""
+    """First whether networks learned: steps between crashes, beside those of the users alone."""
     every = [each for rounds in runs.values() for each in rounds]
-    alone = _per_crash(sum(each.user_steps for each in every), sum(each.user_crashes for each in every))
+    alone = _per_crash(
+        sum(each.user_steps for each in every), sum(each.user_crashes for each in every)
+    )
     line = None if math.isnan(alone) else (alone, f"the users alone: {alone:.0f}")
     alive = _round_figure(
         runs,
@@ -50,20 +52,35 @@ def _rounds(runs: Runs) -> _Section:
     )
     loss = _round_figure(runs, "round-loss", "loss", lambda each: each.loss)
     headings = (
-        *("run", "round", "steps", "new", "with dangers", "crashes", "per 1,000 steps", "network's steps", "crashes"),
+        *(
+            "run",
+            "round",
+            "steps",
+            "new",
+            "with dangers",
+            "crashes",
+            "per 1,000 steps",
+            "network's steps",
+            "crashes",
+        ),
         *("user's steps", "crashes", "updates", "loss", "waited for worlds, s", "learned, s"),
     )
     rows: list[list[Cell]] = [
         [
-            run, each.round + 1, each.steps, each.new_steps, f"{100.0 * each.tight_share:.0f} %", each.crashes,
-            _rounded(_crash_rate(each), 1), each.network_steps, each.network_crashes, each.user_steps,
-            each.user_crashes, each.updates, _rounded(each.loss, 3), round(each.wait_s), round(each.learn_s),
+            run, each.round + 1, each.steps, each.new_steps, f"{100.0 * each.tight_share:.0f} %",
+            each.crashes, _rounded(_crash_rate(each), 1), each.network_steps, each.network_crashes,
+            each.user_steps, each.user_crashes, each.updates, _rounded(each.loss, 3),
+            round(each.wait_s), round(each.learn_s),
         ]
         for run, rounds in runs.items()
         for each in rounds
     ]  # fmt: skip
     table = Exhibit(name="rounds", title="Rounds", columns=headings, rows=rows)
-    return "rounds", "Rounds of driving and learning", (*([alive] if alive.rows else []), table, loss)
+    return (
+        "rounds",
+        "Rounds of driving and learning",
+        (*([alive] if alive.rows else []), table, loss),
+    )
 
 
 def _per_crash(steps: int, crashes: int) -> float:
@@ -79,13 +96,14 @@ def _crash_rate(each: RoundMetricsRow) -> float:
 def rounds_summary(rounds: Sequence[RoundMetricsRow]) -> str:
     """A run's rounds in a line.
 
-    >>> at = dict.fromkeys(RoundMetricsRow.model_fields, 0) | {"steps": 2000, "new_steps": 2000, "crashes": 4}
-    >>> rounds_summary((RoundMetricsRow(**at | {"updates": 50, "loss": 0.25}),))
+    >>> at = dict.fromkeys(RoundMetricsRow.model_fields, 0) | {"steps": 2000, "new_steps": 2000}
+    >>> rounds_summary((RoundMetricsRow(**at | {"updates": 50, "loss": 0.25, "crashes": 4}),))
     '1 round, 2000 steps, 50 updates, loss 0.250, 2.0 crashes per 1000 steps in the last'
     """
     last, rate = rounds[-1], _crash_rate(rounds[-1])
     told = "" if math.isnan(rate) else f", {rate:.1f} crashes per 1000 steps in the last"
-    return f"{pluralize(len(rounds), 'round')}, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
+    counts = f"{pluralize(len(rounds), 'round')}, {last.steps} steps, {last.updates} updates"
+    return f"{counts}, loss {last.loss:.3f}{told}"
 
 
 def _round_figure(
@@ -99,10 +117,18 @@ def _round_figure(
     for run, rounds in runs.items():
         known = [(each, of(each)) for each in rounds if math.isfinite(of(each))]
         values = [value for _, value in known]
-        curves.append(Curve(name=run, steps=[each.steps for each, _ in known], values=values, means=values))
+        curves.append(
+            Curve(name=run, steps=[each.steps for each, _ in known], values=values, means=values)
+        )
         plain += [[run, each.round + 1, each.steps, round(value, 6)] for each, value in known]
     svg = curve_chart(name, label, curves, line)
-    return Exhibit(name=name, title=label.capitalize(), columns=("run", "round", "steps", name), rows=plain, svg=svg)
+    return Exhibit(
+        name=name,
+        title=label.capitalize(),
+        columns=("run", "round", "steps", name),
+        rows=plain,
+        svg=svg,
+    )
 
 
 def _rounded(value: float | None, digits: int = 4) -> float | None:
@@ -117,14 +143,18 @@ def write_training_page(training: Training, folder: Path) -> Path:
         folder: Where the page goes.
 
     Raises:
-        PolicyError: No client has logged a step, and no round is done, or what a run saved of its clients is damaged.
+        PolicyError: No client has logged a step and no round is done, or files of clients are
+            damaged.
         ConfigError: The same.
         DiskFullError: It cannot be written.
     """
     episodes = any(training.clients.values()) or any(training.steps.values())
     rounds = any(training.rounds.values())
     if not episodes and not rounds:
-        raise PolicyError(f"{folder}: no client has logged a step yet; continue the training: wcsim resume {folder}")
+        raise PolicyError(
+            f"{folder}: no client has logged a step yet; "
+            f"continue the training: wcsim resume {folder}"
+        )
     sections = [
         *([_curves(training)] if episodes else ()),
         *([_rounds(training.rounds)] if rounds else ()),
@@ -137,14 +167,20 @@ def write_training_page(training: Training, folder: Path) -> Path:
         title=f"Training {', '.join(Path(name).resolve().name for name in training.manifests)}",
         clients=[*training.clients, *training.rounds],
         manifests=training.manifests,
-        by_rounds=[name for name in training.manifests if {name, Path(name).resolve().name} & set(training.rounds)],
+        by_rounds=[
+            name
+            for name in training.manifests
+            if {name, Path(name).resolve().name} & set(training.rounds)
+        ],
         policies=" ".join(map(shlex.quote, runs)) or "RUN/CLIENT",
         sections=sections,
         limit=KPI1_LIMIT,
         mean_steps=KPI1_STEPS,
         over=OVER,
     )
-    return write_page(folder, text, [exhibit for _, _, exhibits in sections for exhibit in exhibits])
+    return write_page(
+        folder, text, [exhibit for _, _, exhibits in sections for exhibit in exhibits]
+    )
 
 
 def _curves(training: Training) -> _Section:
@@ -152,8 +188,19 @@ def _curves(training: Training) -> _Section:
     own = {name: [each for each in found if each.phase > 1] for name, found in episodes.items()}
     limit = (KPI1_LIMIT, f"{KPI1_LIMIT}: close to the user's stick")
     figures = (
-        _drawn("kpi1", "fig-7a-kpi1", "Fig. 7a: KPI 1, mean joystick distance (down is better)", steps, limit),
-        _drawn("length", "fig-7b-length", "Fig. 7b: KPI 2, steps of an episode in phase 2 (up is better)", own),
+        _drawn(
+            "kpi1",
+            "fig-7a-kpi1",
+            "Fig. 7a: KPI 1, mean joystick distance (down is better)",
+            steps,
+            limit,
+        ),
+        _drawn(
+            "length",
+            "fig-7b-length",
+            "Fig. 7b: KPI 2, steps of an episode in phase 2 (up is better)",
+            own,
+        ),
         _drawn("overestimate", "overestimate", "value minus return", episodes, (0.0, "0")),
     )
     return "curves", "Curves", [found for found in figures if found is not None]
@@ -161,13 +208,20 @@ def _curves(training: Training) -> _Section:
 
 def _counted(training: Training) -> dict[str, list[TrainedEpisode]]:
     """The episodes of each client that ended by a crash or at their limit."""
-    return {name: [each for each in episodes if not each.cut] for name, episodes in training.clients.items()}
+    return {
+        name: [each for each in episodes if not each.cut]
+        for name, episodes in training.clients.items()
+    }
 
 
 def _drawn(
-    key: str, name: str, title: str, logged: Mapping[str, Sequence[LogRow]], line: tuple[float, str] | None = None
+    key: str,
+    name: str,
+    title: str,
+    logged: Mapping[str, Sequence[LogRow]],
+    line: tuple[float, str] | None = None,
 ) -> Exhibit | None:
-    """A curve for each client through its rows that have a value; None where there is nothing to draw."""
+    """A curve for each client through its rows with a value; None if there are none."""
     curves: list[Curve] = []
     plain: list[list[Cell]] = []
     for client, told in logged.items():
@@ -181,7 +235,9 @@ def _drawn(
                 values=values,
                 means=means,
                 # The last step that the log has of the first phase; None where there was no change.
-                switch=next((row.step for row, after in pairwise(rows) if row.phase < after.phase), None),
+                switch=next(
+                    (row.step for row, after in pairwise(rows) if row.phase < after.phase), None
+                ),
                 crossing=crossing([row for row in rows if isinstance(row, TrainedSteps)]).step,
             )
         )
@@ -212,9 +268,9 @@ def _clients(training: Training) -> Exhibit:
             values = [value for episode in episodes if (value := getattr(episode, key)) is not None]
             means.append(round(running_means(values)[-1], 4) if values else None)
         rows.append([
-            name, max((row.step for row in last), default=0), len(episodes), sum(e.crashed for e in episodes),
-            sum(e.cut for e in training.clients[name]), crossed.step, crossed.left, _rounded(crossed.last),
-            *means,
+            name, max((row.step for row in last), default=0), len(episodes),
+            sum(e.crashed for e in episodes), sum(e.cut for e in training.clients[name]),
+            crossed.step, crossed.left, _rounded(crossed.last), *means,
         ])  # fmt: skip
     headings = (
         *("client", "steps", "episodes", "crashes", "cut", f"KPI 1 below {KPI1_LIMIT} from step"),
@@ -225,7 +281,12 @@ def _clients(training: Training) -> Exhibit:
 
 
 _SHOWN: Final = (
-    *(("score", "score"), ("score_ci", "95 %"), ("crashes_any", "crashes"), ("crashes_own", "own crashes")),
+    *(
+        ("score", "score"),
+        ("score_ci", "95 %"),
+        ("crashes_any", "crashes"),
+        ("crashes_own", "own crashes"),
+    ),
     *(("kpi1", "KPI 1"), ("followed", "obeyed"), ("kpi2", "KPI 2"), ("arrived", "arrivals")),
 )
 _CONTINUES: Final = "second phase"
@@ -237,12 +298,17 @@ _PAID: Final = (
 
 
 def _client_sections(training: Training) -> list[_Section]:
-    """Sections for runs that compared their clients (`learn.select_by`), then for runs whose clients shared a world."""
+    """Sections of runs that compared clients (`learn.select_by`), then of those in one world."""
     shown: list[_Section] = []
-    runs = {f"-{number + 1}" if number else "": Path(run) for number, run in enumerate(training.manifests)}
+    runs = {
+        f"-{number + 1}" if number else "": Path(run)
+        for number, run in enumerate(training.manifests)
+    }
     for number, run in runs.items():
         if is_file(run / SELECTION / CHOICE):
-            selection = (_tested if is_file(run / SELECTION / RESULT) else _compared)(run, f"selection{number}")
+            selection = (_tested if is_file(run / SELECTION / RESULT) else _compared)(
+                run, f"selection{number}"
+            )
             shown.append((selection.name, "Which client learns the second phase", (selection,)))
     for number, run in runs.items():
         waiting = _waiting(run, f"waiting{number}")
@@ -257,13 +323,20 @@ def _compared(run: Path, exhibit: str) -> Exhibit:
     try:
         figures = {str(name): float(of[KPI1]) for name, of in choice["clients"].items()}
     except (KeyError, TypeError, ValueError, AttributeError):
-        raise PolicyError(f"{run / SELECTION / CHOICE}: is damaged; expected KPI 1 of each client") from None
+        raise PolicyError(
+            f"{run / SELECTION / CHOICE}: is damaged; expected KPI 1 of each client"
+        ) from None
     best, by = read_chosen_client_name(run, list(figures)), choice.get("by")
-    why = f"The client with the lowest one {_IN_TIME} continues" if by == KPI1 else f"The user chose {best}"
+    why = (
+        f"The client with the lowest one {_IN_TIME} continues"
+        if by == KPI1
+        else f"The user chose {best}"
+    )
     return Exhibit(
         name=exhibit,
         title=f"{run.resolve().name}: KPI 1 of the first phase",
-        says=f"KPI 1 of the client's own choice, over the last {KPI1_STEPS} steps of its first phase. {why}.",
+        says=f"KPI 1 of the client's own choice, over the last {KPI1_STEPS} steps of its first "
+        f"phase. {why}.",
         columns=("client", "KPI 1", "learned on"),
         rows=[(name, kpi1, _CONTINUES if name == best else "") for name, kpi1 in figures.items()],
     )
@@ -277,11 +350,16 @@ def _tested(run: Path, exhibit: str) -> Exhibit:
     return Exhibit(
         name=exhibit,
         title=f"{run.resolve().name}: {result.suite} {result.set}",
-        says=f"Each client after its first phase, tested on {result.set}; follow is the user alone. The client with "
-        f"the highest score {_IN_TIME} continues. Details: wcsim report {shlex.quote(str(run / SELECTION))}",
+        says=f"Each client after its first phase, tested on {result.set}; follow is the user. "
+        f"The client with the highest score {_IN_TIME} continues. "
+        f"Details: wcsim report {shlex.quote(str(run / SELECTION))}",
         columns=("client", *(heading for _, heading in _SHOWN), "learned on"),
         rows=[
-            (name, *(_cell(getattr(row, key)) for key, _ in _SHOWN), _CONTINUES if name == best else "")
+            (
+                name,
+                *(_cell(getattr(row, key)) for key, _ in _SHOWN),
+                _CONTINUES if name == best else "",
+            )
             for name, row in zip(names, result.pooled, strict=True)
         ],
     )
@@ -305,5 +383,8 @@ def _waiting(run: Path, exhibit: str) -> Exhibit | None:
         paid = (shares.acting_s, shares.learning_s, *waits)
         held = [None if whom == name else round(waited.get(whom, 0.0), 1) for whom in times.clients]
         rows.append([name, *(round(part_s, 1) for part_s in paid), *held])
-    title, columns = f"{run.resolve().name}: waiting between clients", [f"for {name} s" for name in times.clients]
+    title, columns = (
+        f"{run.resolve().name}: waiting between clients",
+        [f"for {name} s" for name in times.clients],
+    )
     return Exhibit(name=exhibit, title=title, columns=(*_PAID, *columns), rows=rows)

@@ -1,4 +1,4 @@
-"""A film of two drives of the same episode, from behind the chair: the user alone, and beside it the user with help."""
+"""A film of two drives of one episode from behind the chair: the user alone and with help."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -24,14 +24,17 @@ _ALL_STEPS: Final = 1_000_000  # the most that an episode can have
 
 
 def telling_episode(result: TestResult, policy: str) -> tuple[int, int]:
-    """Block and seat of the first episode in which the user crashes alone, and comes to its end with the policy.
+    """Block and seat of the first episode where the user crashes alone, but ends well with help.
 
-    Where there is none it is the first in which the policy spares the crash, else the first with one, else the first.
+    Else it is the first where the policy spares the crash, else the first with one, else the
+    first.
     """
     alone, helped = result.episodes[UNAIDED], result.episodes[policy]
     crashed = [record.status == CRASHED for record in alone]
     spared = [was and record.status != CRASHED for was, record in zip(crashed, helped, strict=True)]
-    finished = [was and record.status == FINISHED for was, record in zip(crashed, helped, strict=True)]
+    finished = [
+        was and record.status == FINISHED for was, record in zip(crashed, helped, strict=True)
+    ]
     place = next((found.index(True) for found in (finished, spared, crashed) if any(found)), 0)
     return alone[place].block, alone[place].seat
 
@@ -69,12 +72,16 @@ def film_twins(
         done(0.5 * len(halves), title)
         piece = piece_of(order, key[0], name, towns, judged=False)
         (played,) = play(piece, (key[1],), _ALL_STEPS, partial(_pictures, end, tick_s))
-        (saved,) = (record for record in result.episodes[name] if (record.block, record.seat) == key)
+        (saved,) = (
+            record for record in result.episodes[name] if (record.block, record.seat) == key
+        )
         require_same(played.record, saved)
         told.append(f"{title}: {fate(played.record)}")
         if played.steps:  # a network that fails at once has no picture
             *pictures, last = played.drawn
-            halves.append([*(captioned(picture, title) for picture in pictures), captioned(last, told[-1])])
+            halves.append(
+                [*(captioned(picture, title) for picture in pictures), captioned(last, told[-1])]
+            )
             end = end or played.steps[-1].step
 
     # A drive that has ended stands still until the other one has, too.
@@ -87,7 +94,7 @@ def film_twins(
 
 
 def _pictures(end: int, tick_s: float, world: World, steps: Sequence[PlayedStep]) -> list[U8]:
-    """The pictures of one drive around a step, 0 for its last one, and the picture of its last one."""
+    """Pictures of one drive around a step, 0 for its last, and the picture of its last."""
     last, street, found = end or steps[-1].step, StreetPictures(world.street), []
     first, until = last - round(_BEFORE_S / tick_s), last + round(_AFTER_S / tick_s)
     for step in steps:

@@ -1,1 +1,1 @@
-"""What films are made of: states of a log, a log replayed, a run that grows, episodes. Each in its own process."""
+"""Sources of films: a log's states, a replayed log, a growing run, episodes; each a process."""

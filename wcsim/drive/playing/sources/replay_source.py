@@ -1,9 +1,10 @@
-"""A log as a film: its world made again, blind, of a drive with what it says of person and policy; or its states.
+"""A log as a film: the world of a journal or drive simulated again without cameras, or a trace.
 
-The states of a trace are everybody's places as they were written down; nothing is driven again. The journal of a run
-that goes on is read as it grows, and its world made again a moment behind; the run does nothing for it and does not
-know of it. Where the film is slower than the run, it goes over to the newest epoch as soon as one begins, and says by
-how much it is behind till then.
+The film of a drive also shows what its recording has of the person and the policy. A trace has
+everybody's places; nothing is driven again. The journal of a run that goes on is read as it grows.
+Its world is simulated a moment behind; the run does nothing for it and does not know of it. If the
+film is slower than the run, it shows how far it is behind, and goes to the newest epoch as soon as
+one begins.
 """
 
 import time
@@ -51,7 +52,6 @@ from wcsim.log.records import (
     EpochBegun,
     Header,
     Input,
-    Note,
     Ticked,
     WorldState,
     WorldTick,
@@ -67,16 +67,133 @@ from wcsim.types import Command, Joystick, Outline
 from wcsim.view.filming import SIGHT_M
 
 NOT_IN_JOURNALS: Final = (
-    "Warnings, unsafe positions and who is in control: a journal records the commands of the chairs only.",
+    "Warnings, unsafe positions and who is in control: "
+    "a journal records the commands of the chairs only.",
     "Sensor errors of the cameras: pictures are drawn without them.",
 )
 NOT_IN_DRIVES: Final = (
     "Unsafe positions: a drive records what the policy chose, not why.",
     "Sensor errors of the camera: its picture is drawn without them.",
 )
+NOT_IN_TRACES: Final = (
+    "Sensors: a trace holds positions only, so there is no picture of the chair's camera.",
+    "The user's stick, so there is no KPI 1 and no intervention.",
+    "Crashes, arrivals and routes. A chair that jumps has started another episode.",
+    "Traffic signals, brake lights and vehicle models.",
+)
+
+# For no turn at all, which somebody may have written into a file.
+_EAST: Final = [0.0, 0.0, 0.0, 1.0]
+# If more ticks than this are left of an epoch, a newer one is shown at once.
+SKIPS_TICKS: Final = 100
+_MOST_WAITING: Final = 200_000  # records
+_POLL_S: Final = 0.05
+_TOLD_S: Final = 0.5
+_QUIET_S: Final = 3.0  # without a tick, before something is said of it
+_BEHIND: Final = 10  # ticks from which on they are told of
+_LAST_BYTES: Final = 4096
+_STEP_DIGITS: Final = 15
+
+Gone = Callable[[float], bool]  # waits so many seconds; whether nobody listens any more
+Clock = Callable[[], float]
 
 
-def _replay_about(header: Header, ticks: int, *, epoch: int | None = None, live: bool = False) -> FilmAbout:
+def replay_film(path: Path, epoch: int | None = None, hook: str = "") -> Iterator[Said]:
+    """A journal or drive from first to last tick, of one epoch or all.
+
+    Raises:
+        JournalError: It is neither journal nor drive.
+        WcsimError: As of `replayed`.
+    """
+    log, header = log_of(path), read_header(path)
+    if isinstance(log, DriveRecording):
+        ticks = len(log.ticks)
+        scene = _RecordScene(log)
+    else:
+        ticks = sum(
+            isinstance(record, Ticked) and epoch in (None, record.epoch)
+            for record in iter_journal_inputs(log)
+        )
+        scene = _RecordScene()
+    yield _replay_about(header, ticks, epoch=epoch)
+    with closing(replayed(log, epoch, None, hook)) as steps:
+        for world, record in steps:
+            yield from scene.said(world, record)
+    yield FilmLine(kind="end", told=scene.told(f"The whole {header.kind} is loaded."))
+
+
+def state_film(path: Path, epoch: int | None = None, town: str = "") -> Iterator[Said]:
+    """A trace from its first tick to its last.
+
+    Args:
+        path: The file.
+        epoch: Which one; all when None.
+        town: Name or folder of its town; "" for the one that the trace names.
+
+    Raises:
+        JournalError: It is no trace.
+        TownError: The town is not there, or another one.
+        ConfigError: There is no chair in it.
+    """
+    header, records = read_trace_states(path)
+    chosen = [record for record in records if epoch in (None, record.epoch) and len(record.plants)]
+    if not chosen:
+        raise ConfigError(
+            f"{escape(path)}: has no wheelchair to follow; expected a run with --chairs"
+        )
+    place = _town(header, town)
+    yield FilmAbout(
+        title=f"trace of {place.name}, seed {header.seed}",
+        town=place.address,
+        tick_s=header.tick_s,
+        unknown=list(NOT_IN_TRACES),
+        ticks=len(chosen),
+    )
+    usual = plant_spec(ChairConfig()).outline
+    length_m, middle_x_m = header.chair_box_m or (usual.length_m, usual.middle_x_m)
+    outline = replace(usual, length_m=length_m, middle_x_m=middle_x_m)
+    for record in chosen:
+        yield _frame(record, outline)
+    yield FilmLine(kind="end", told="The whole trace is loaded.")
+
+
+def follow_film(
+    run: Path, hook: str, say: Callable[[Said], object], gone: Gone, clock: Clock = time.monotonic
+) -> None:
+    """Follow a run until nobody listens any more.
+
+    Args:
+        run: Its folder.
+        hook: The step hook that it was started with, which a journal alone does not load.
+        say: Receives the film.
+        gone: See `Gone`.
+        clock: Monotonic seconds.
+
+    Raises:
+        JournalError: The journal is none, or damaged.
+        TownError, ConfigError: Its world cannot be made here.
+        WcsimError: Its records do not follow from each other.
+    """
+    with LogFollower(run / JOURNAL) as tail:
+        first = tail.read()
+        while tail.header is None:
+            say(FilmLine(kind="now", told="The run has not started yet."))
+            if gone(_TOLD_S):
+                return
+            first = tail.read()
+        say(_replay_about(tail.header, 0, live=True))
+        following = _Following(run, tail.header, hook, say)
+        try:
+            following.hear(first)
+            while following.turn(tail, gone, clock):
+                pass
+        finally:
+            following.close()
+
+
+def _replay_about(
+    header: Header, ticks: int, *, epoch: int | None = None, live: bool = False
+) -> FilmAbout:
     """What a journal or a drive shows: one epoch, or from its first one on."""
     about, maps, config = header.drive, list[str](), config_of(header)
     if about is not None:
@@ -101,24 +218,6 @@ def _replay_about(header: Header, ticks: int, *, epoch: int | None = None, live:
         tells_who=about is not None,
         live=live,
     )
-
-
-def replay_film(path: Path, epoch: int | None = None, hook: str = "") -> Iterator[Said]:
-    """A journal or a drive from its first tick to its last, of one epoch or of all; raises what `replayed` raises."""
-    log, header = log_of(path), read_header(path)
-    yield _replay_about(header, _count_ticks(log, epoch), epoch=epoch)
-    scene = _RecordScene(log if isinstance(log, DriveRecording) else None)
-    with closing(replayed(log, epoch, None, hook)) as steps:
-        for world, record in steps:
-            yield from scene.said(world, record)
-    yield FilmLine(kind="end", told=scene.told(f"The whole {header.kind} is loaded."))
-
-
-def _count_ticks(log: Path | DriveRecording, epoch: int | None = None) -> int:
-    """How many ticks a log has, in one epoch or in all. Raises JournalError when it is neither journal nor drive."""
-    if isinstance(log, DriveRecording):
-        return len(log.ticks)
-    return sum(isinstance(record, Ticked) and epoch in (None, record.epoch) for record in iter_journal_inputs(log))
 
 
 class _RecordScene:
@@ -147,13 +246,18 @@ class _RecordScene:
             case Ticked() | DriveTick():
                 yield self._frame(world, record)
         self._maker.begin(world)
-        self._asked = {client.seat: (client.first or client).user for client in world.snapshot.clients}
+        self._asked = {
+            client.seat: (client.first or client).user for client in world.snapshot.clients
+        }
 
     def told(self, told: str) -> str:
         """A line, with what went another way."""
         if not self.differs:
             return told
-        return f"{told} {self.differs} ticks differ: it was made with other versions or on another machine."
+        return (
+            f"{told} {self.differs} ticks differ: "
+            "it was made with other versions or on another machine."
+        )
 
     def _frame(self, world: World, record: WorldTick) -> FilmFrame:
         now = world.snapshot
@@ -163,7 +267,9 @@ class _RecordScene:
             said = TickSays() if self._decides is None else self._decides.says(record)
             return self._maker.frame(now, {0: said})
         self.differs += record.state_hash != now.state_hash
-        return self._maker.frame(now, {command.seat: self._says(command) for command in record.commands})
+        return self._maker.frame(
+            now, {command.seat: self._says(command) for command in record.commands}
+        )
 
     def _says(self, command: Command) -> TickSays:
         asked, given = self._asked.get(command.seat), command.joystick
@@ -175,21 +281,29 @@ class _RecordScene:
 
 
 class _WhoDecides:
-    """Whose say it is, tick by tick, as the events of a drive tell."""
+    """Who is in control in each tick, by the events of a drive."""
 
     def __init__(self, drive: DriveRecording) -> None:
         about = drive.about
-        self._events, self._hands_over = deque(drive.events), not about.profile and bool(about.episode)
+        self._events = deque(drive.events)
+        self._hands_over = not about.profile and bool(about.episode)
         self._assisted, self._simulated = True, False
         self._can_assist = about.policy not in ("", UNAIDED)
 
     def says(self, tick: DriveTick) -> TickSays:
-        """Of the next tick. A simulated user who drives where the person was to does so before a handover.
+        """What the next tick shows of sticks and policy.
 
-        Handovers are in episodes of suites alone; elsewhere an older recording may not say that the user was to drive.
+        If a simulated user drives in the person's place, it is before a handover. Only episodes of
+        suites have handovers; elsewhere an older recording may not name the user as driver.
         """
         while self._events and self._events[0].tick < tick.tick:
-            self._note(self._events.popleft())
+            event = self._events.popleft()
+            if event.kind == EventKind.ASSISTANCE:
+                self._assisted = event.detail == "on"
+            elif event.kind == EventKind.POLICY_FAILED:
+                self._assisted = False
+            elif event.kind == EventKind.DRIVER:
+                self._simulated = event.detail == DriverKind.SIMULATED
         return TickSays(
             stick=xy_of(tick.stick),
             commanded=xy_of(tick.commanded),
@@ -201,57 +315,6 @@ class _WhoDecides:
             unaided=not (self._can_assist and self._assisted),
         )
 
-    def _note(self, event: Note) -> None:
-        if event.kind == EventKind.ASSISTANCE:
-            self._assisted = event.detail == "on"
-        elif event.kind == EventKind.POLICY_FAILED:
-            self._assisted = False
-        elif event.kind == EventKind.DRIVER:
-            self._simulated = event.detail == DriverKind.SIMULATED
-
-
-NOT_IN_TRACES: Final = (
-    "Sensors: a trace holds positions only, so there is no picture of the chair's camera.",
-    "The user's stick, so there is no KPI 1 and no intervention.",
-    "Crashes, arrivals and routes. A chair that jumps has started another episode.",
-    "Traffic signals, brake lights and vehicle models.",
-)
-
-_EAST: Final = [0.0, 0.0, 0.0, 1.0]  # for no turn at all, which somebody may have written into a file
-
-
-def state_film(path: Path, epoch: int | None = None, town: str = "") -> Iterator[Said]:
-    """A trace from its first tick to its last.
-
-    Args:
-        path: The file.
-        epoch: Which one; all when None.
-        town: Name or folder of its town; "" for the one that the trace names.
-
-    Raises:
-        JournalError: It is no trace.
-        TownError: The town is not there, or another one.
-        ConfigError: There is no chair in it.
-    """
-    header, records = read_trace_states(path)
-    chosen = [record for record in records if epoch in (None, record.epoch) and len(record.plants)]
-    if not chosen:
-        raise ConfigError(f"{escape(path)}: has no wheelchair to follow; expected a run with --chairs")
-    place = _town(header, town)
-    yield FilmAbout(
-        title=f"trace of {place.name}, seed {header.seed}",
-        town=place.address,
-        tick_s=header.tick_s,
-        unknown=list(NOT_IN_TRACES),
-        ticks=len(chosen),
-    )
-    usual = plant_spec(ChairConfig()).outline
-    length_m, middle_x_m = header.chair_box_m or (usual.length_m, usual.middle_x_m)
-    outline = replace(usual, length_m=length_m, middle_x_m=middle_x_m)
-    for record in chosen:
-        yield _frame(record, outline)
-    yield FilmLine(kind="end", told="The whole trace is loaded.")
-
 
 def _town(header: Header, name: str) -> Town:
     """The town of a trace. Raises TownError when it is not there, or has its origin elsewhere."""
@@ -260,11 +323,13 @@ def _town(header: Header, name: str) -> Town:
     except TownError as error:
         if name:
             raise
-        raise TownError(f"the trace is of a town {escape(header.town, 80)!r}: {error}; name it with --town") from None
+        raise TownError(
+            f"the trace is of a town {escape(header.town, 80)!r}: {error}; name it with --town"
+        ) from None
     if tuple(town.file.origin_m) != tuple(header.origin_m):
         raise TownError(
-            f"the trace has its origin at {header.origin_m}, {town.name} at {town.file.origin_m}; expected the town "
-            "that it was recorded in: name it with --town"
+            f"the trace has its origin at {header.origin_m}, {town.name} at {town.file.origin_m}; "
+            "expected the town that it was recorded in: name it with --town"
         )
     return town
 
@@ -277,12 +342,15 @@ def _town_or_scene(name: str) -> Town:
             scene = find_scene(name)
         except TownError:
             raise no_town from None
-    return town_of_folder(scene)  # what is wrong with a scene that is there is its own fault, and told
+    # If there is a scene, its own errors are told.
+    return town_of_folder(scene)
 
 
 def _frame(record: WorldState, outline: Outline) -> FilmFrame:
     """A state, with those that are in sight of a chair."""
-    gaps_m = np.hypot(*np.moveaxis(record.actors[:, None, :2] - record.plants[None, :, :2], -1, 0)).min(axis=1)
+    gaps_m = np.hypot(
+        *np.moveaxis(record.actors[:, None, :2] - record.plants[None, :, :2], -1, 0)
+    ).min(axis=1)
     near = np.flatnonzero(gaps_m < SIGHT_M).tolist() if record.bodies else []
     bodies = [record.bodies[number] for number in near]
     rows = [(*record.actors[number], *record.bodies[number].size_lwh_m) for number in near]
@@ -302,59 +370,17 @@ def _frame(record: WorldState, outline: Outline) -> FilmFrame:
                 commanded=(given[0], given[1]),
             )
             for seat, plant, given in zip(
-                record.seats or range(len(record.plants)), record.plants.tolist(), record.commands.tolist(), strict=True
+                record.seats or range(len(record.plants)),
+                record.plants.tolist(),
+                record.commands.tolist(),
+                strict=True,
             )
         ],
     )
 
 
-SKIPS_TICKS: Final = 100  # a newer epoch is gone over to at once where more ticks than this are left of the old one
-_MOST_WAITING: Final = 200_000  # records
-_POLL_S: Final = 0.05
-_TOLD_S: Final = 0.5
-_QUIET_S: Final = 3.0  # without a tick, before something is said of it
-_BEHIND: Final = 10  # ticks from which on they are told of
-_LAST_BYTES: Final = 4096
-_STEP_DIGITS: Final = 15
-
-Gone = Callable[[float], bool]  # waits so many seconds; whether nobody listens any more
-Clock = Callable[[], float]
-
-
-def follow_film(run: Path, hook: str, say: Callable[[Said], object], gone: Gone, clock: Clock = time.monotonic) -> None:
-    """Follow a run until nobody listens any more.
-
-    Args:
-        run: Its folder.
-        hook: The step hook that it was started with, which a journal alone does not load.
-        say: Hears the film.
-        gone: See `Gone`.
-        clock: Monotonic seconds.
-
-    Raises:
-        JournalError: The journal is none, or damaged.
-        TownError, ConfigError: Its world cannot be made here.
-        WcsimError: Its records do not follow from each other.
-    """
-    with LogFollower(run / JOURNAL) as tail:
-        first = tail.read()
-        while tail.header is None:
-            say(FilmLine(kind="now", told="The run has not started yet."))
-            if gone(_TOLD_S):
-                return
-            first = tail.read()
-        say(_replay_about(tail.header, 0, live=True))
-        following = _Following(run, tail.header, hook, say)
-        try:
-            following.hear(first)
-            while following.turn(tail, gone, clock):
-                pass
-        finally:
-            following.close()
-
-
 class _Following:
-    """What has come and was not done again yet, and the world in which it will be."""
+    """The records that are read and not yet replayed, and the world that replays them."""
 
     def __init__(self, run: Path, header: Header, hook: str, say: Callable[[Said], object]) -> None:
         self._run, self._say = run, say
@@ -367,17 +393,20 @@ class _Following:
         self._names, self._named = dict[int, str](), dict[int, str]()
 
     def hear(self, records: list[Input]) -> None:
-        """These have come; what an epoch makes needless is left out."""
+        """Queue new records. Where a newer epoch has begun, many older ticks are left out."""
         self._queue.extend(records)
-        begun = [number for number, record in enumerate(self._queue) if isinstance(record, EpochBegun)]
-        left = sum(isinstance(record, Ticked) for record in list(self._queue)[: begun[-1]]) if begun else 0
+        begun = (at for at, record in enumerate(self._queue) if isinstance(record, EpochBegun))
+        newest = max(begun, default=0)
+        left = sum(isinstance(record, Ticked) for record in list(self._queue)[:newest])
         if left > SKIPS_TICKS:
-            for _ in range(begun[-1]):
+            for _ in range(newest):
                 self._player.seats.note(self._queue.popleft())
-            self._say(FilmLine(kind="mark", told=f"{left} ticks were skipped to reach the newest world."))
+            self._say(
+                FilmLine(kind="mark", told=f"{left} ticks were skipped to reach the newest world.")
+            )
 
     def turn(self, tail: LogFollower, gone: Gone, clock: Clock) -> bool:
-        """Do the next record again, or wait for one; False when nobody listens any more."""
+        """Replay the next record, or wait for one; False when nobody listens any more."""
         now_s = clock()
         if not self._queue or now_s - self._asked_s > _POLL_S:
             self._asked_s = now_s
@@ -385,26 +414,33 @@ class _Following:
                 self._heard_s = now_s
                 self.hear(records)
         if self._queue:
-            self._do(self._queue.popleft())
+            record = self._queue.popleft()
+            self._ended = record.reason if isinstance(record, Ended) else ""
+            world = self._player.play(record)
+            for said in self._scene.said(world, record):
+                if isinstance(said, FilmNames):
+                    self._names = dict(said.names)
+                self._say(said)
+            if self._scene.differs and not self._differed:
+                self._differed = True
+                told = "The film differs from the run: its version or machine is another."
+                self._say(FilmLine(kind="bad", told=told))
+        # Now and then: how the run stands, and the steps of its learners.
         if now_s - self._told_s > _TOLD_S:
             self._told_s = now_s
-            self._tell(self._status(tail, now_s))
+            told = self._status(tail, now_s)
+            if told != self._told:
+                self._told = told
+                self._say(FilmLine(kind="now", told=told))
+            named = {seat: _with_step(self._run, name) for seat, name in self._names.items()}
+            if named != self._named:
+                self._named = named
+                self._say(FilmNames(names=named))
         return not gone(0.0 if self._queue else _POLL_S)
 
     def close(self) -> None:
         """End the world."""
         self._player.close()
-
-    def _do(self, record: Input) -> None:
-        self._ended = record.reason if isinstance(record, Ended) else ""
-        world = self._player.play(record)
-        for said in self._scene.said(world, record):
-            if isinstance(said, FilmNames):
-                self._names = dict(said.names)
-            self._say(said)
-        if self._scene.differs and not self._differed:
-            self._differed = True
-            self._say(FilmLine(kind="bad", told="The film differs from the run: its version or machine is another."))
 
     def _status(self, tail: LogFollower, now_s: float) -> str:
         """What goes on with the run."""
@@ -414,7 +450,8 @@ class _Following:
         if self._ended.startswith(EPOCH_OVER):
             return "This world has ended; the next one is starting."
         if self._ended:
-            return f"The run has ended ({self._ended}). This page continues when the run is resumed."
+            told = f"The run has ended ({self._ended})."
+            return f"{told} This page continues when the run is resumed."
         quiet_s = now_s - self._heard_s
         if quiet_s < _QUIET_S:
             return "live"
@@ -422,18 +459,9 @@ class _Following:
             return "No process runs this world now: the run was killed, or its world is restarting."
         return f"No tick for {quiet_s:.0f} s: the world waits for a client."
 
-    def _tell(self, told: str) -> None:
-        if told != self._told:
-            self._told = told
-            self._say(FilmLine(kind="now", told=told))
-        named = {seat: _with_step(self._run, name) for seat, name in self._names.items()}
-        if named != self._named:
-            self._named = named
-            self._say(FilmNames(names=named))
-
 
 def _with_step(run: Path, name: str) -> str:
-    """A client with the step that its learner was at when its last episode ended, where its folder says it."""
+    """A client, with its learner's step at the end of its last episode, if its folder has it."""
     try:
         with open_regular_file(run / name / "metrics.csv", METRICS) as file:
             file.seek(0, 2)

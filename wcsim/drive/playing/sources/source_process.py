@@ -1,4 +1,4 @@
-"""The process of a source: at the lowest priority it says its film into a pipe, and an error as a line."""
+"""The process of a source: at the lowest priority it sends its film, and errors as lines."""
 
 from __future__ import annotations
 
@@ -16,12 +16,15 @@ from wcsim.errors import WcsimError
 LAST: Final = 19  # the lowest priority
 _GROUP: Final = Path("/proc/self/autogroup")
 
+SourceKind = Literal["log", "episode", "run"]
+
 
 def run_at_low_priority() -> None:
     """Give this process the lowest priority: every other one gets the processor first.
 
-    Linux shares it among sessions before it looks at the priorities within one, so a terminal that only watches would
-    get as much as that in which something is trained: this process leaves for a session of its own, which comes last.
+    Linux shares the processor among sessions before it looks at priorities. A terminal that only
+    watches would get as much as one that trains. So this process gets its own session,
+    which comes last.
     """
     with suppress(OSError):  # it leads a session already
         os.setsid()
@@ -29,9 +32,6 @@ def run_at_low_priority() -> None:
     os.nice(LAST)
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-
-
-SourceKind = Literal["log", "episode", "run"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,12 +46,13 @@ class FilmSource:
     policy: str = ""  # of an episode, as the two below
     block: int = -1
     own: tuple[str, ...] = ()
-    drive: Callable[[FilmSource, Callable[[Said], object]], object] | None = None  # who drives an episode again
+    # Drives an episode again.
+    drive: Callable[[FilmSource, Callable[[Said], object]], object] | None = None
     gives_way: bool = False  # to every other process
 
 
 def run_source(pipe: Connection, source: FilmSource) -> None:
-    """What the process does."""
+    """Send the film of a source. This is the whole work of its process."""
     if source.gives_way:
         run_at_low_priority()
 
@@ -64,7 +65,7 @@ def run_source(pipe: Connection, source: FilmSource) -> None:
 
 
 def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -> None:
-    """Loads the simulators of this kind of source alone."""
+    """Send a film. Only the simulators of this kind of source are loaded."""
     if source.drive is not None:
         source.drive(source, say)
         return
@@ -72,9 +73,12 @@ def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -
     from wcsim.log.reader import read_header
 
     if source.kind == "run":
-        follow_film(source.path, source.hook, say, pipe.poll)  # nobody says anything into it: it has ended then
+        # Nobody writes into the pipe: `poll` is true only when its other end is closed.
+        follow_film(source.path, source.hook, say, pipe.poll)
         return
-    is_trace = read_header(source.path).kind == "trace"
-    places, again = (source.path, source.epoch, source.town), (source.path, source.epoch, source.hook)
-    for said in state_film(*places) if is_trace else replay_film(*again):
+    if read_header(source.path).kind == "trace":
+        film = state_film(source.path, source.epoch, source.town)
+    else:
+        film = replay_film(source.path, source.epoch, source.hook)
+    for said in film:
         say(said)
