@@ -42,16 +42,7 @@ _CRASH_S: Final = 3.0  # for which a crash is shown
 _IDLE_S: Final = 0.05
 _NEWEST: Final = 0.05  # share of the newest in a mean
 # Messages that are refused while a study runs.
-_SET_BY_STUDY: Final = (
-    m.Assist,
-    m.SetLevel,
-    m.DriveBy,
-    m.Pace,
-    m.NewPlace,
-    m.Again,
-    m.SetUser,
-    m.Open,
-)
+_STUDY: Final = (m.Assist, m.SetLevel, m.DriveBy, m.Pace, m.NewPlace, m.Again, m.SetUser, m.Open)
 # The state before the first tick of an episode.
 _RESTS: Final = DriveTick(
     tick=0,
@@ -231,8 +222,7 @@ class _DriveRunner(PageRunner):
     Args:
         pipe: To the server.
         start: The first drive.
-        keep: File of the first world that is kept, or a study that leads through several drives;
-            None to keep nothing.
+        keep: File of the first world that is kept, or a study of several drives; None for nothing.
         clock: Monotonic seconds.
     """
 
@@ -506,7 +496,7 @@ class _DriveRunner(PageRunner):
             self._say("notice", kind="bad", told=str(error))
             self._over = True
             return
-        self._does.update(dict.fromkeys(_SET_BY_STUDY, _refuse_in_study))
+        self._does.update(dict.fromkeys(_STUDY, _refuse_in_study))
         self._lead.begin()
 
     def _open_part(self, start: DriveStart, path: Path) -> DriveSession:

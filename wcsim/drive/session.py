@@ -252,10 +252,7 @@ class DriveSession(ClosingContextBase):
             crashed = self.client.events.crashed
             self._next(self._go_back() if crashed else "after the end of the last one")
         by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
-        if wish.help:
-            self.ask_for_help()
-        elif by_user and self.client.events.help_asked:
-            self.ask_for_help(raises=self.place.config.world.help_users)
+        self._hear_help(wish.help, by_user)
         if by_user:
             stick = self.client.user
         else:
@@ -316,6 +313,13 @@ class DriveSession(ClosingContextBase):
         self._observers = ()
 
     # --- one tick ---
+
+    def _hear_help(self, wished: bool, by_user: bool) -> None:
+        """Hear a request in the wish, or of the simulated user while it drives."""
+        if wished:
+            self.ask_for_help()
+        elif by_user and self.client.events.help_asked:
+            self.ask_for_help(raises=self.place.config.world.help_users)
 
     def _see(self, stick: Joystick) -> None:
         """Look at the chair's current frame with this stick, which also judges the last step."""

@@ -1,1 +1,1 @@
-"""Serves browsers: the page's files, a socket per page, access control. `drive/runner` drives."""
+"""Serves browsers: page files, a socket per page, access control. `drive/runner.py` drives."""

@@ -425,22 +425,24 @@ class _Following:
                 self._differed = True
                 told = "The film differs from the run: its version or machine is another."
                 self._say(FilmLine(kind="bad", told=told))
-        # Now and then: how the run stands, and the steps of its learners.
         if now_s - self._told_s > _TOLD_S:
             self._told_s = now_s
-            told = self._status(tail, now_s)
-            if told != self._told:
-                self._told = told
-                self._say(FilmLine(kind="now", told=told))
-            named = {seat: _with_step(self._run, name) for seat, name in self._names.items()}
-            if named != self._named:
-                self._named = named
-                self._say(FilmNames(names=named))
+            self._tell(self._status(tail, now_s))
         return not gone(0.0 if self._queue else _POLL_S)
 
     def close(self) -> None:
         """End the world."""
         self._player.close()
+
+    def _tell(self, told: str) -> None:
+        """Now and then: how the run stands, and the steps of its learners."""
+        if told != self._told:
+            self._told = told
+            self._say(FilmLine(kind="now", told=told))
+        named = {seat: _with_step(self._run, name) for seat, name in self._names.items()}
+        if named != self._named:
+            self._named = named
+            self._say(FilmNames(names=named))
 
     def _status(self, tail: LogFollower, now_s: float) -> str:
         """What goes on with the run."""
