@@ -53,8 +53,8 @@ ROWS: Final = (
     Row(name="tools: tokens", first=13_871, ceiling=11_115, count=lambda: measures.tokens("tools")),
     Row(name="examples: tokens", first=2_835, ceiling=6_150, count=lambda: measures.tokens("examples")),
     Row(name="benchmarks: tokens", first=55_115, ceiling=62_120, count=lambda: measures.tokens("benchmarks")),
-    Row(name="tests: tokens", first=619_290, ceiling=625_501, count=lambda: measures.tokens("tests")),
-    Row(name="docs: words written by hand", first=74_035, ceiling=36_487, count=measures.words_of_docs),
+    Row(name="tests: tokens", first=619_290, ceiling=625_636, count=lambda: measures.tokens("tests")),
+    Row(name="docs: words written by hand", first=74_035, ceiling=36_495, count=measures.words_of_docs),
     # The ideas are found by code. Of formats the log's and that of pictures in shared memory; of meters that of an
     # episode's record and the running one of a film; of learners Q-learning and danger networks.
     Row(name="ideas: formats of its own", first=6, ceiling=2, count=lambda: len(measures.formats())),

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.drive.page.stage import ABOUT, CHROMIUM, FLAGS, IN_CHROMIUM, STATE, PageAlone
+from tests.drive.page.stage import ABOUT, CHROMIUM, FLAGS, IN_CHROMIUM, STATE, PageAlone, axe_finds_nothing
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
 from wcsim.view.street_pictures import moment_of
@@ -157,4 +157,19 @@ def test_what_is_hostile_is_left_out_and_the_page_draws_on(context: Any, corner:
     assert street.errors == []
     assert street.page.evaluate("document.querySelectorAll('img, body script').length") == 0
     assert street.page.title() != "1"
+    street.page.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("file", WORDS)
+def test_axe_finds_nothing_in_either_scheme(context: Any, corner: Path, file: str, scheme: str) -> None:
+    street = Street(context, file, corner)
+    street.page.emulate_media(color_scheme=scheme)
+    for say, told in WORDS[file]:
+        if say != "busy":  # which covers the picture
+            street.hear(say, **told)
+    for line in ("street", "way"):
+        street.hear(line, **street.lines[line])
+    street.draws()
+    axe_finds_nothing(street.page)
     street.page.close()
