@@ -47,14 +47,14 @@ ROWS: Final = (
     Row(name="wcsim: rooms of over 40 of them", first=24, ceiling=2, count=measures.silent_rooms),
     Row(name="wcsim: settings", first=213, ceiling=191, count=measures.settings),
     Row(name="wcsim: imports, % of the code", first=12.8, ceiling=10.7, count=measures.import_share),
-    Row(name="JavaScript: lines", first=1_632, ceiling=2_561, count=lambda: measures.text_lines(".js")),
+    Row(name="JavaScript: lines", first=1_632, ceiling=2_566, count=lambda: measures.text_lines(".js")),
     Row(name="HTML and CSS: lines", first=754, ceiling=776, count=lambda: measures.text_lines(".html", ".css")),
     Row(name="templates: lines", first=0, ceiling=356, count=lambda: measures.text_lines(".jinja", ".j2")),
     Row(name="tools: tokens", first=13_871, ceiling=11_115, count=lambda: measures.tokens("tools")),
     Row(name="examples: tokens", first=2_835, ceiling=6_150, count=lambda: measures.tokens("examples")),
     Row(name="benchmarks: tokens", first=55_115, ceiling=62_120, count=lambda: measures.tokens("benchmarks")),
-    Row(name="tests: tokens", first=619_290, ceiling=625_636, count=lambda: measures.tokens("tests")),
-    Row(name="docs: words written by hand", first=74_035, ceiling=36_495, count=measures.words_of_docs),
+    Row(name="tests: tokens", first=619_290, ceiling=625_695, count=lambda: measures.tokens("tests")),
+    Row(name="docs: words written by hand", first=74_035, ceiling=36_530, count=measures.words_of_docs),
     # The ideas are found by code. Of formats the log's and that of pictures in shared memory; of meters that of an
     # episode's record and the running one of a film; of learners Q-learning and danger networks.
     Row(name="ideas: formats of its own", first=6, ceiling=2, count=lambda: len(measures.formats())),

@@ -149,7 +149,13 @@ def test_what_is_hostile_is_left_out_and_the_page_draws_on(context: Any, corner:
         street.show(moment)
         street.draws()
 
-    # 4. It looks as before: a number that is none would stay in the camera's place forever.
+    # 4. Lines that are none.
+    for line in ("{", "[]", '{"say": "constructor"}', '{"say": "street"}', '{"say": "way", "points": [[0, 0]]}'):
+        street._socket.send(line)
+    street.hear("street", **{**street.lines["street"], "number": 9, "from": [0.0, None, 0.0]})
+    street.draws()
+
+    # 5. It looks as before: a number that is none would stay in the camera's place forever.
     street.page.wait_for_timeout(1000)
     after = street.seen()
     assert before.std() > 20.0

@@ -4,6 +4,10 @@ const AGAIN_MS = 1000;
 const HEAD_BYTES = 4;
 const PART_BYTES = 5;
 
+function parsed(text) {
+  try { return JSON.parse(text); } catch (error) { console.warn(`a line that is none: ${error}`); return null; }
+}
+
 export class Link {
   constructor(hears) {
     this.hears = hears; // say -> function(message); "pictures", "line"
@@ -47,9 +51,8 @@ export class Link {
 
   hear(data) {
     if (typeof data === "string") {
-      const message = JSON.parse(data);
-      const does = this.hears[message.say];
-      if (does) does(message);
+      const message = parsed(data);
+      if (message && Object.hasOwn(this.hears, message.say)) this.hears[message.say](message);
       return;
     }
     const view = new DataView(data);

@@ -41,6 +41,8 @@ function isSoftware() {
   return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }
 
+const isPlace = (place) => Array.isArray(place) && place.length === 3 && place.every(Number.isFinite);
+
 export class Scene {
   constructor(link) {
     this.link = link;
@@ -157,6 +159,7 @@ export class Scene {
 
   // A street, and the tiles that are near by now.
   async setStreet(told) {
+    if (!isPlace(told.from) || !Array.isArray(told.tiles) || !Array.isArray(told.names) || typeof told.classes !== "object") { console.warn("a street that is none"); return; }
     this.eye = told.eye;
     this.names = told.names;
     this.classes = told.classes;
@@ -189,6 +192,7 @@ export class Scene {
   }
 
   setWay(told) {
+    if (!Array.isArray(told.points) || !told.points.every(isPlace)) { console.warn("a way that is none"); return; }
     this.way = told.points.length ? told.points : null;
     this.arcs = [0];
     for (let i = 1; i < told.points.length; i++) this.arcs.push(this.arcs[i - 1] + Math.hypot(told.points[i][0] - told.points[i - 1][0], told.points[i][1] - told.points[i - 1][1]));
